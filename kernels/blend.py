@@ -1,0 +1,147 @@
+"""From a pose to the garment: the joints' interpolated samples put together on every vertex."""
+
+import warp as wp
+
+from .interpolate import interpolate_about_axis, interpolate_about_point, interpolate_offset
+from .skinning import Skin, skinned_position, skinned_turn
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Offsets:
+    """Samples as offsets over skinning, each joint's only on the vertices that it moves.
+
+    The entries of vertex v, one a joint, are entry_start[v] to entry_start[v + 1].
+    """
+
+    entry_start: wp.array[wp.int32]
+    entry_joint: wp.array[wp.int32]
+    entry_place: wp.array[wp.int32]
+    entry_window: wp.array[wp.float32]
+    offsets: wp.array[wp.vec3]
+
+
+@wp.kernel
+def blend_offsets(
+    first: wp.int32,
+    skin: Skin,
+    samples: Offsets,
+    matrices: wp.array2d[wp.vec4],
+    turns: wp.array[wp.quat],
+    corner_start: wp.array2d[wp.int32],
+    corner_weight: wp.array2d[wp.float32],
+    strength: wp.array[wp.float32],
+    # outputs
+    positions: wp.array[wp.vec3],
+):
+    """p(v) = x(v) + Q(v) sum over joints of strength_J phi_J(v) delta_J(v, a_J) [m].
+
+    Vertices from ``first`` on; each thread of a split launch has its own part.
+    """
+    vertex = first + wp.tid()
+    total = wp.vec3()
+    for entry in range(samples.entry_start[vertex], samples.entry_start[vertex + 1]):
+        joint = samples.entry_joint[entry]
+        factor = strength[joint] * samples.entry_window[entry]
+        if factor != 0.0:
+            total += factor * interpolate_offset(
+                samples.offsets, samples.entry_place[entry], corner_start, corner_weight, joint
+            )
+    q = skinned_turn(skin, turns, vertex)
+    positions[vertex] = skinned_position(skin, matrices, vertex) + wp.quat_rotate(q, total)
+
+
+@wp.struct
+class Positions:
+    """Samples as positions in rig space, each joint's on the vertices of its two regions (W65).
+
+    The entries of vertex v, one a joint, are entry_start[v] to entry_start[v + 1]; entry_frame numbers the rigid frame
+    of the vertex's region as the joint sees it, entry_weight is eq 4's weight.
+    """
+
+    entry_start: wp.array[wp.int32]
+    entry_joint: wp.array[wp.int32]
+    entry_place: wp.array[wp.int32]
+    entry_frame: wp.array[wp.int32]
+    entry_weight: wp.array[wp.float32]
+    positions: wp.array[wp.vec3]
+
+
+@wp.struct
+class Cells:
+    """Where each joint stands between its samples, shapes [joint_count] and [joint_count, ...].
+
+    Corner c of a cell takes the upper node of twist, first swing, second swing by its bits 1, 2, 4.
+    """
+
+    corner_start: wp.array2d[wp.int32]
+    fraction: wp.array[wp.vec3]
+    dof: wp.array[wp.int32]
+    centre: wp.array[wp.vec3]
+    hinge_axis: wp.array[wp.vec3]
+    hinge_about_axis: wp.int32
+    twist_axis: wp.array2d[wp.vec3]
+
+
+@wp.func
+def interpolate_position(samples: Positions, cells: Cells, joint: wp.int32, place: wp.int32) -> wp.vec3:
+    """One vertex of a joint's wrinkle mesh [m]: eq 3 over twist at each swing node, eq 1 over the swings (W69)."""
+    t = cells.fraction[joint]
+    centre = cells.centre[joint]
+    p0 = samples.positions[cells.corner_start[joint, 0] + place]
+    if cells.dof[joint] == 1:
+        p1 = samples.positions[cells.corner_start[joint, 1] + place]
+        if cells.hinge_about_axis != 0:
+            return interpolate_about_axis(p0, p1, centre, cells.hinge_axis[joint], t[0])
+        return interpolate_about_point(p0, p1, centre, t[0])
+    over_first = wp.vec3()
+    result = wp.vec3()
+    for second in range(2):
+        for first in range(2):
+            node = first + 2 * second
+            low = samples.positions[cells.corner_start[joint, 2 * node] + place]
+            high = samples.positions[cells.corner_start[joint, 2 * node + 1] + place]
+            twisted = interpolate_about_axis(low, high, centre, cells.twist_axis[joint, node], t[0])
+            if first == 0:
+                over_first = twisted
+            else:
+                over_first = interpolate_about_point(over_first, twisted, centre, t[1])
+        if second == 0:
+            result = over_first
+        else:
+            result = interpolate_about_point(result, over_first, centre, t[2])
+    return result
+
+
+@wp.kernel
+def blend_positions(
+    first: wp.int32,
+    skin: Skin,
+    samples: Positions,
+    cells: Cells,
+    frames: wp.array2d[wp.vec4],
+    matrices: wp.array2d[wp.vec4],
+    strength: wp.array[wp.float32],
+    # outputs
+    positions: wp.array[wp.vec3],
+):
+    """The joints' wrinkle meshes, each carried rigidly with the vertex's region into the pose, averaged by eq 4 [m].
+
+    A joint of strength s gives s of its own mesh and 1 - s of the skinned garment; so does a region without joints.
+    """
+    vertex = first + wp.tid()
+    total = wp.vec3()
+    used = wp.float32(0.0)
+    for entry in range(samples.entry_start[vertex], samples.entry_start[vertex + 1]):
+        joint = samples.entry_joint[entry]
+        weight = strength[joint] * samples.entry_weight[entry]
+        if weight != 0.0:
+            p = interpolate_position(samples, cells, joint, samples.entry_place[entry])
+            h = wp.vec4(p[0], p[1], p[2], 1.0)
+            frame = samples.entry_frame[entry]
+            total += weight * wp.vec3(wp.dot(frames[frame, 0], h), wp.dot(frames[frame, 1], h), wp.dot(frames[frame, 2], h))
+            used += weight
+    if used != 1.0:
+        total += (1.0 - used) * skinned_position(skin, matrices, vertex)
+    positions[vertex] = total

@@ -1,0 +1,198 @@
+"""Preconditioned conjugate gradients for many worlds side by side, each with its own step lengths.
+
+A world that has converged takes steps of length zero and so keeps its bits, whatever its neighbours do. Scalars stay
+on the device: a number of iterations can be recorded once and replayed.
+"""
+
+import warp as wp
+
+from .assembly import Contact, gather_slots
+from .self_contact import SLOTS
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def slot_products(
+    direction: wp.array2d[wp.vec3],
+    faces: wp.array2d[wp.int32],
+    contact: Contact,
+    slot_stiffness: wp.array2d[wp.float32],
+    # outputs
+    force: wp.array2d[wp.vec3],
+):
+    """Stiffness of every self-contact times the direction [N]."""
+    world, vertex = wp.tid()
+    for k in range(contact.slot_count[world, vertex]):
+        slot = vertex * SLOTS + k
+        face = contact.slot_triangle[world, slot]
+        w = contact.slot_weights[world, slot]
+        n = contact.slot_normal[world, slot]
+        relative = (
+            direction[world, vertex]
+            - w[0] * direction[world, faces[face, 0]]
+            - w[1] * direction[world, faces[face, 1]]
+            - w[2] * direction[world, faces[face, 2]]
+        )
+        force[world, slot] = n * (slot_stiffness[world, slot] * wp.dot(n, relative))
+
+
+@wp.kernel
+def multiply(
+    direction: wp.array2d[wp.vec3],
+    row_start: wp.array[wp.int32],
+    columns: wp.array[wp.int32],
+    blocks: wp.array2d[wp.mat33],
+    far_start: wp.array[wp.int32],
+    far_columns: wp.array[wp.int32],
+    far_coefficients: wp.array[wp.float32],
+    contact: Contact,
+    force: wp.array2d[wp.vec3],
+    # outputs
+    product: wp.array2d[wp.vec3],
+):
+    """Hessian times direction, row by row [N]."""
+    world, vertex = wp.tid()
+    total = wp.vec3()
+    for k in range(row_start[vertex], row_start[vertex + 1]):
+        total += blocks[world, k] * direction[world, columns[k]]
+    for k in range(far_start[vertex], far_start[vertex + 1]):
+        total += far_coefficients[k] * direction[world, far_columns[k]]
+    product[world, vertex] = total + gather_slots(force, contact, contact.slot_count.shape[1], world, vertex)
+
+
+@wp.kernel
+def start(
+    gradient: wp.array2d[wp.vec3d],
+    inverse: wp.array2d[wp.mat33],
+    # outputs
+    solution: wp.array2d[wp.vec3],
+    residual: wp.array2d[wp.vec3],
+    preconditioned: wp.array2d[wp.vec3],
+    direction: wp.array2d[wp.vec3],
+):
+    """Begin at zero: residual minus the gradient."""
+    world, vertex = wp.tid()
+    r = -wp.vec3(gradient[world, vertex])
+    z = inverse[world, vertex] * r
+    solution[world, vertex] = wp.vec3()
+    residual[world, vertex] = r
+    preconditioned[world, vertex] = z
+    direction[world, vertex] = z
+
+
+@wp.kernel
+def partial_dot(
+    a: wp.array2d[wp.vec3],
+    b: wp.array2d[wp.vec3],
+    # outputs
+    partial: wp.array2d[wp.float64],
+):
+    """Dot product of a run of neighbouring entries; one run a thread."""
+    world, part = wp.tid()
+    count = a.shape[1]
+    parts = partial.shape[1]
+    total = wp.float64(0.0)
+    for i in range(part * count // parts, (part + 1) * count // parts):
+        total += wp.float64(wp.dot(a[world, i], b[world, i]))
+    partial[world, part] = total
+
+
+@wp.func
+def sum_parts(partial: wp.array2d[wp.float64], world: wp.int32) -> wp.float64:
+    total = wp.float64(0.0)
+    for part in range(partial.shape[1]):
+        total += partial[world, part]
+    return total
+
+
+@wp.kernel
+def start_scalars(
+    partial: wp.array2d[wp.float64],
+    # outputs
+    energy: wp.array[wp.float64],
+    first_energy: wp.array[wp.float64],
+    active: wp.array[wp.int32],
+):
+    """r z at the start; a world whose residual is zero is done."""
+    world = wp.tid()
+    value = sum_parts(partial, world)
+    energy[world] = value
+    first_energy[world] = value
+    active[world] = wp.where(value > wp.float64(0.0), 1, 0)
+
+
+@wp.kernel
+def step_length(
+    partial: wp.array2d[wp.float64],
+    energy: wp.array[wp.float64],
+    # in and out
+    active: wp.array[wp.int32],
+    # outputs
+    alpha: wp.array[wp.float32],
+):
+    """alpha = r z / p A p; a direction without positive curvature ends the world's iteration."""
+    world = wp.tid()
+    alpha[world] = 0.0
+    if active[world] != 0:
+        curvature = sum_parts(partial, world)
+        if curvature > wp.float64(0.0):
+            alpha[world] = wp.float32(energy[world] / curvature)
+        else:
+            active[world] = 0
+
+
+@wp.kernel
+def advance(
+    alpha: wp.array[wp.float32],
+    direction: wp.array2d[wp.vec3],
+    product: wp.array2d[wp.vec3],
+    inverse: wp.array2d[wp.mat33],
+    # in and out
+    solution: wp.array2d[wp.vec3],
+    residual: wp.array2d[wp.vec3],
+    # outputs
+    preconditioned: wp.array2d[wp.vec3],
+):
+    world, vertex = wp.tid()
+    a = alpha[world]
+    solution[world, vertex] = solution[world, vertex] + a * direction[world, vertex]
+    r = residual[world, vertex] - a * product[world, vertex]
+    residual[world, vertex] = r
+    preconditioned[world, vertex] = inverse[world, vertex] * r
+
+
+@wp.kernel
+def next_scalars(
+    partial: wp.array2d[wp.float64],
+    first_energy: wp.array[wp.float64],
+    tolerance2: wp.float64,
+    # in and out
+    energy: wp.array[wp.float64],
+    active: wp.array[wp.int32],
+    iterations: wp.array[wp.int32],
+    # outputs
+    beta: wp.array[wp.float32],
+):
+    """beta = new r z / old r z; done when r z fell below ``tolerance2`` times its first value."""
+    world = wp.tid()
+    beta[world] = 0.0
+    if active[world] == 0:
+        return
+    value = sum_parts(partial, world)
+    beta[world] = wp.float32(value / energy[world])
+    energy[world] = value
+    iterations[world] = iterations[world] + 1
+    if value <= tolerance2 * first_energy[world]:
+        active[world] = 0
+
+
+@wp.kernel
+def turn_direction(
+    beta: wp.array[wp.float32],
+    preconditioned: wp.array2d[wp.vec3],
+    # in and out
+    direction: wp.array2d[wp.vec3],
+):
+    world, vertex = wp.tid()
+    direction[world, vertex] = preconditioned[world, vertex] + beta[world] * direction[world, vertex]

@@ -1,0 +1,142 @@
+"""Stretching of a triangle: Saint Venant-Kirchhoff membrane on linear triangles.
+
+With the deformation gradient F = D_s D_m^-1 (3x2, material axes warp and weft) and the Green strain
+E = (F^T F - I) / 2, the energy of a triangle of rest area A is
+
+    W = A/2 (c11 Exx^2 + 2 c12 Exx Eyy + c22 Eyy^2 + c33 (2 Exy)^2)          [J]
+
+with the stiffness c = (c11, c12, c22, c33) in N/m. The energy of Xu et al. 2014 section 6 (S48).
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})  # Derivatives are written out by hand below.
+
+mat32d = wp.types.matrix(shape=(3, 2), dtype=wp.float64)
+
+
+@wp.func
+def shape_gradient(rest_inverse: wp.mat22d, corner: wp.int32) -> wp.vec2d:
+    """Gradient of a corner's linear shape function in material coordinates [1/m]."""
+    if corner == 1:
+        return wp.vec2d(rest_inverse[0, 0], rest_inverse[0, 1])
+    if corner == 2:
+        return wp.vec2d(rest_inverse[1, 0], rest_inverse[1, 1])
+    return wp.vec2d(-rest_inverse[0, 0] - rest_inverse[1, 0], -rest_inverse[0, 1] - rest_inverse[1, 1])
+
+
+@wp.func
+def deformation_gradient(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, rest_inverse: wp.mat22d) -> mat32d:
+    """F = D_s D_m^-1."""
+    a = x1 - x0
+    b = x2 - x0
+    warp_column = a * rest_inverse[0, 0] + b * rest_inverse[1, 0]
+    weft_column = a * rest_inverse[0, 1] + b * rest_inverse[1, 1]
+    return wp.matrix_from_cols(warp_column, weft_column)
+
+
+@wp.func
+def green_strain(f: mat32d) -> wp.vec3d:
+    """(Exx, Eyy, 2 Exy) of the Green strain."""
+    u = wp.vec3d(f[0, 0], f[1, 0], f[2, 0])
+    v = wp.vec3d(f[0, 1], f[1, 1], f[2, 1])
+    half = wp.float64(0.5)
+    one = wp.float64(1.0)
+    return wp.vec3d(half * (wp.dot(u, u) - one), half * (wp.dot(v, v) - one), wp.dot(u, v))
+
+
+@wp.func
+def membrane_stress(strain: wp.vec3d, stiffness: wp.vec4d) -> wp.vec3d:
+    """Second Piola-Kirchhoff stress (Sxx, Syy, Sxy) [N/m]."""
+    return wp.vec3d(
+        stiffness[0] * strain[0] + stiffness[1] * strain[1],
+        stiffness[1] * strain[0] + stiffness[2] * strain[1],
+        stiffness[3] * strain[2],
+    )
+
+
+@wp.func
+def membrane_energy(strain: wp.vec3d, stiffness: wp.vec4d) -> wp.float64:
+    """Energy density [J/m^2]."""
+    return wp.float64(0.5) * wp.dot(strain, membrane_stress(strain, stiffness))
+
+
+@wp.func
+def membrane_gradient(f: mat32d, stress: wp.vec3d, g: wp.vec2d) -> wp.vec3d:
+    """Derivative of the energy density by the corner whose shape gradient is g [N/m^2]: F S g."""
+    return f * wp.vec2d(stress[0] * g[0] + stress[2] * g[1], stress[2] * g[0] + stress[1] * g[1])
+
+
+@wp.func
+def tensile_part(stress: wp.vec3d) -> wp.vec3d:
+    """The stress with its negative principal values set to zero.
+
+    Compression makes the geometric stiffness indefinite; without it every Hessian block sum is positive
+    semi-definite, which Newton's method needs to go downhill.
+    """
+    half = wp.float64(0.5)
+    mean = half * (stress[0] + stress[1])
+    difference = half * (stress[0] - stress[1])
+    radius = wp.sqrt(difference * difference + stress[2] * stress[2])
+    high = wp.max(mean + radius, wp.float64(0.0))
+    low = wp.max(mean - radius, wp.float64(0.0))
+    cosine = wp.float64(1.0)
+    sine = wp.float64(0.0)
+    if radius > wp.float64(1.0e-12):
+        cosine = difference / radius
+        sine = stress[2] / radius
+    mean = half * (high + low)
+    radius = half * (high - low)
+    return wp.vec3d(mean + radius * cosine, mean - radius * cosine, radius * sine)
+
+
+@wp.func
+def membrane_hessian(f: mat32d, stress: wp.vec3d, stiffness: wp.vec4d, gi: wp.vec2d, gj: wp.vec2d) -> wp.mat33d:
+    """Second derivative of the energy density by corners i and j [N/m^3].
+
+    The exact Hessian for ``stress = membrane_stress(...)``, a positive semi-definite one for its tensile part.
+    """
+    u = wp.vec3d(f[0, 0], f[1, 0], f[2, 0])
+    v = wp.vec3d(f[0, 1], f[1, 1], f[2, 1])
+    # Derivatives of (Exx, Eyy, 2 Exy) by the two corners.
+    xi = u * gi[0]
+    yi = v * gi[1]
+    si = u * gi[1] + v * gi[0]
+    xj = u * gj[0]
+    yj = v * gj[1]
+    sj = u * gj[1] + v * gj[0]
+    geometric = (
+        gi[0] * (stress[0] * gj[0] + stress[2] * gj[1]) + gi[1] * (stress[2] * gj[0] + stress[1] * gj[1])
+    )
+    return (
+        wp.outer(xi, stiffness[0] * xj + stiffness[1] * yj)
+        + wp.outer(yi, stiffness[1] * xj + stiffness[2] * yj)
+        + wp.outer(si, stiffness[3] * sj)
+        + geometric * wp.identity(n=3, dtype=wp.float64)
+    )
+
+
+@wp.kernel
+def deform_triangles(
+    positions: wp.array2d[wp.vec3d],
+    faces: wp.array2d[wp.int32],
+    rest_inverse: wp.array[wp.mat22d],
+    rest_area: wp.array[wp.float64],
+    stiffness: wp.vec4d,
+    # outputs
+    deformation: wp.array2d[mat32d],
+    stress: wp.array2d[wp.vec3d],
+    energy: wp.array2d[wp.float64],
+):
+    """Deformation gradient, stress [N/m] and energy [J] of every triangle."""
+    world, triangle = wp.tid()
+    f = deformation_gradient(
+        positions[world, faces[triangle, 0]],
+        positions[world, faces[triangle, 1]],
+        positions[world, faces[triangle, 2]],
+        rest_inverse[triangle],
+    )
+    strain = green_strain(f)
+    deformation[world, triangle] = f
+    stress[world, triangle] = membrane_stress(strain, stiffness)
+    energy[world, triangle] = rest_area[triangle] * membrane_energy(strain, stiffness)

@@ -1,0 +1,423 @@
+"""The bake: every sample of a plan, simulated or otherwise come by, into a wrinkle database.
+
+``bake`` is a generator of events; whoever drains it prints, draws a progress bar or reports to a farm. It may stop at
+any moment: what is finished lies in the folder, and the next run goes on from there, to the same bytes.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import rotations, storage
+from .cloth import STANDARD_GRAVITY, ClothSimulation, ClothState, ContactSettings, SettleReport, SolverSettings
+from .cloth_model import Fabric, build_cloth_model
+from .database import (
+    DatabaseHeader,
+    expected_files,
+    header_path,
+    rest_path,
+    sample_path,
+    write_manifest,
+    write_rest,
+    write_sample,
+)
+from .garment import Body, Garment, bind_to_surface, check_fit, check_surface, find_regions
+from .plan import Sample, SamplePlan
+from .rig import FloatArray, Pose, Rig, pose_between, pose_of_angles
+
+SOLVER_VERSION = 1
+"""Raised whenever the solver gives other samples for the same input, so that old ones are not taken for new."""
+
+STATES = "states"
+
+
+@dataclass(frozen=True)
+class BakeSettings:
+    """How samples are simulated.
+
+    Attributes:
+        fabric: What the garment is made of.
+        contact: How it touches the body and itself.
+        solver: Where iterations stop.
+        ease: Extra cloth around the girth and along the length, as shares (0.05 is 5 percent).
+        turn_step: Largest turn of any bone between two steps of the body [rad].
+        settle_tolerance: Residual at which a sample is in equilibrium, in nodal weights.
+        settle_iterations: Bound on the linearisations of one equilibrium.
+        pin_stiffness: How hard a fully pinned vertex is held to the skin [N/m].
+    """
+
+    fabric: Fabric = field(default_factory=Fabric)
+    contact: ContactSettings = field(default_factory=ContactSettings)
+    solver: SolverSettings = field(default_factory=SolverSettings)
+    ease: tuple[float, float] = (0.0, 0.0)
+    turn_step: float = float(np.radians(3.0))
+    settle_tolerance: float = 1.0
+    settle_iterations: int = 60
+    pin_stiffness: float = 20.0
+
+
+class BodySource(Protocol):
+    """Whoever knows the body's shape in a pose: Blender's own evaluation, or plain skinning in tests."""
+
+    def positions(self, pose: Pose) -> FloatArray:
+        """Body vertices in rig space [m], shape [body_vertex_count, 3]."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class SampleShape:
+    """The garment in one sample's pose [m], shape [vertex_count, 3], and what there is to say of it."""
+
+    positions: FloatArray
+    report: Mapping[str, Any]
+
+
+class SampleSource(Protocol):
+    """Whoever gives the garment's shape for a sample: our solver, another one, a scan (W07)."""
+
+    def rest(self) -> SampleShape: ...
+
+    def sample(self, sample: Sample) -> SampleShape: ...
+
+
+@dataclass(frozen=True, eq=False)
+class BakeJob:
+    """Everything that decides the bytes of a database.
+
+    Raises:
+        ValueError: One sentence, if the garment cannot be simulated on this body.
+    """
+
+    rig: Rig
+    garment: Garment
+    body: Body
+    plan: SamplePlan
+    settings: BakeSettings
+
+    def __post_init__(self) -> None:
+        check_surface(self.garment.name, self.garment.positions, self.garment.faces)
+        if not len(self.body.faces):
+            raise ValueError("The body has no faces; choose the mesh that the garment is worn on.")
+        distance = bind_to_surface(self.garment.positions, self.body.positions, self.body.faces).distance
+        check_fit(self.garment.name, self.garment.positions, self.body, distance)
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of the job; part of every file's name."""
+        grids = [[grid.joint.name, grid.joint.bones, grid.joint.near, grid.angles] for grid in self.plan.grids]
+        joints = [np.round(np.concatenate([g.joint.axes.ravel(), g.joint.shares]), 6).tolist() for g in self.plan.grids]
+        return storage.content_key(
+            [
+                SOLVER_VERSION,
+                self.garment.fingerprint(),
+                self.body.fingerprint(),
+                self.rig.fingerprint(),
+                grids,
+                joints,
+                self.plan.mirror is not None,
+                asdict(self.settings),
+            ]
+        )
+
+    @cached_property
+    def header(self) -> DatabaseHeader:
+        joints = [grid.joint for grid in self.plan.grids]
+        regions = find_regions(self.rig, joints, self.garment.weights)
+        return DatabaseHeader(self.key, self.rig, self.plan, self.garment, regions)
+
+
+@dataclass(frozen=True)
+class BakeEvent:
+    """Progress of a bake.
+
+    Attributes:
+        name: File or sample that was just finished.
+        done: Samples that are finished, rest included.
+        total: Samples in all, rest included.
+        seconds: Time this one took [s].
+        remaining: Estimated time for the rest [s].
+        report: What its source said of it.
+    """
+
+    name: str
+    done: int
+    total: int
+    seconds: float
+    remaining: float
+    report: Mapping[str, Any]
+
+
+def bake(
+    job: BakeJob,
+    source: SampleSource,
+    folder: Path | str,
+    *,
+    shard: tuple[int, int] = (0, 1),
+) -> Iterator[BakeEvent]:
+    """Bake one shard of a job into a folder, skipping what is there, and finish the database if it is complete.
+
+    Yields:
+        An event after each finished sample.
+
+    Raises:
+        StorageError: If the folder cannot be written to or the disk is full.
+    """
+    folder = Path(folder)
+    mine = job.plan.shard(*shard)
+    storage.make_folder(folder)
+    if not header_path(folder, job.key).exists():
+        job.header.write(folder)
+    todo = [sample for sample in mine if not sample_path(folder, job.key, sample).exists()]
+    started = time.perf_counter()
+    rest, report = _rest(job, source, folder)
+    total, done = 1 + len(mine), 1 + len(mine) - len(todo)
+    if report is not None:
+        yield BakeEvent("rest", done, total, time.perf_counter() - started, float("nan"), report)
+    spent = []
+    for count, sample in enumerate(todo, 1):
+        started = time.perf_counter()
+        shape = source.sample(sample)
+        write_sample(folder, job.header, rest, sample, shape.positions, shape.report)
+        _write_image(job, folder, rest, sample, shape)
+        spent.append(time.perf_counter() - started)
+        remaining = float(np.mean(spent)) * (len(todo) - count)
+        yield BakeEvent(sample.name, done + count, total, spent[-1], remaining, shape.report)
+    finish(job, folder)
+
+
+def finish(job: BakeJob, folder: Path | str) -> bool:
+    """Write the manifest if every sample is there, whichever shards they came from; says whether it did."""
+    folder = Path(folder)
+    if not all(path.exists() for path in expected_files(folder, job.key, job.plan)):
+        return False
+    write_manifest(folder, job.header, asdict(job.settings))
+    return True
+
+
+def _rest(job: BakeJob, source: SampleSource, folder: Path) -> tuple[FloatArray, Mapping[str, Any] | None]:
+    """The settled rest garment, from the folder or made now; the report only if made now."""
+    path = rest_path(folder, job.key)
+    report = None
+    if not path.exists():
+        shape = source.rest()
+        report = shape.report
+        write_rest(folder, job.header, shape.positions, shape.report)
+    arrays, _ = storage.read_arrays(path)
+    return arrays["positions"], report
+
+
+def _write_image(job: BakeJob, folder: Path, rest: FloatArray, sample: Sample, shape: SampleShape) -> None:
+    """Write the mirror image of a simulated sample, if the plan has one."""
+    mirror = job.plan.mirror
+    if mirror is None:
+        return
+    for other in job.plan.samples:
+        if job.plan.image(other) == sample:
+            report = {**shape.report, "mirrored": sample.name}
+            write_sample(folder, job.header, rest, other, mirror.reflect_garment(shape.positions), report)
+
+
+# --- our own solver as the source ---------------------------------------------------------------------------------
+
+
+class SimulatedSamples:
+    """Samples from our own cloth simulation, each from its parent on the grid (W20).
+
+    The state of every sample is kept in the folder until the database is finished, so that its children, in this
+    process or another, start from it to the bit.
+
+    Args:
+        job: What to bake.
+        bodies: The body in any pose.
+        folder: The database's folder.
+        device: Warp device.
+    """
+
+    def __init__(self, job: BakeJob, bodies: BodySource, folder: Path | str, device: str = "cpu"):
+        self._job = job
+        self._bodies = bodies
+        self._states = Path(folder) / STATES
+        self.wearer = Wearer(job.rig, job.garment, job.body, bodies, job.settings, device)
+
+    def rest(self) -> SampleShape:
+        path = self._path("rest")
+        if path.exists():
+            state, report = self._read(path)
+        else:
+            state, report = self._settle_rest()
+            self._write(path, state, report)
+        return SampleShape(state.positions[0], report)
+
+    def sample(self, sample: Sample) -> SampleShape:
+        path = self._path(sample.name)
+        if path.exists():
+            state, report = self._read(path)
+            return SampleShape(state.positions[0], report)
+        parent = self._job.plan.parent(sample)
+        if parent is None:
+            self.rest()
+            state, _ = self._read(self._path("rest"))
+            angles = np.zeros_like(self._job.plan.angles(sample))
+        else:
+            self.sample(parent)
+            state, _ = self._read(self._path(parent.name))
+            angles = self._job.plan.angles(parent)
+        wearer = self.wearer
+        wearer.resume(state, self._pose(sample.joint, angles))
+        for fraction in wearer.fractions(self._pose(sample.joint, angles), self._pose(sample.joint, self._angles(sample))):
+            wearer.follow(self._pose(sample.joint, angles + fraction * (self._angles(sample) - angles)))
+        report = wearer.settle()
+        state = wearer.simulation.state()
+        self._write(path, state, report)
+        return SampleShape(state.positions[0], report)
+
+    def _angles(self, sample: Sample) -> FloatArray:
+        return self._job.plan.angles(sample)
+
+    def _pose(self, joint: str, angles: FloatArray) -> Pose:
+        return pose_of_angles(self._job.rig, self._job.header.joints, {joint: angles})
+
+    def _settle_rest(self) -> tuple[ClothState, Mapping[str, Any]]:
+        self.wearer.dress()
+        report = self.wearer.settle()
+        state = self.wearer.simulation.state()
+        mirror = self._job.plan.mirror
+        if mirror is not None:
+            # Rounding makes the two sides drift apart; samples of one side stand for the other, so rest must not.
+            positions = 0.5 * (state.positions[0] + mirror.reflect_garment(state.positions[0]))
+            state = ClothState(
+                positions[None],
+                np.zeros_like(state.velocities),
+                np.full_like(state.anchor_faces, -1),
+                np.zeros_like(state.anchor_weights),
+            )
+        return state, report
+
+    def _path(self, name: str) -> Path:
+        return self._states / f"{name}-{self._job.key}{storage.ARRAY_SUFFIX}"
+
+    def _write(self, path: Path, state: ClothState, report: Mapping[str, Any]) -> None:
+        storage.make_folder(self._states)
+        arrays: dict[str, NDArray[Any]] = {
+            "positions": state.positions,
+            "anchor_faces": state.anchor_faces,
+            "anchor_weights": state.anchor_weights,
+        }
+        storage.write_arrays(path, arrays, dict(report))
+
+    def _read(self, path: Path) -> tuple[ClothState, Mapping[str, Any]]:
+        arrays, report = storage.read_arrays(path)
+        positions = arrays["positions"]
+        state = ClothState(positions, np.zeros_like(positions), arrays["anchor_faces"], arrays["anchor_weights"])
+        return state, report
+
+
+class Wearer:
+    """A simulated garment on a posed body: poses in, settled cloth out.
+
+    Keeps the last pose, so that it can carry the cloth along with the skin to the next one.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        garment: Garment,
+        body: Body,
+        bodies: BodySource,
+        settings: BakeSettings,
+        device: str = "cpu",
+    ):
+        self.rig, self.garment, self.bodies, self.settings = rig, garment, bodies, settings
+        model = build_cloth_model(
+            garment.positions,
+            garment.faces,
+            settings.fabric,
+            length_directions=limb_directions(rig, garment),
+            ease=settings.ease,
+        )
+        self._pose = Pose.at_rest(rig)
+        self.simulation = ClothSimulation(
+            model,
+            body.faces,
+            body.positions,
+            contact_settings=settings.contact,
+            solver_settings=settings.solver,
+            pin_stiffness=garment.pins * settings.pin_stiffness,
+            device=device,
+        )
+        self.simulation.set_gravity(rig.gravity * STANDARD_GRAVITY)
+
+    @property
+    def positions(self) -> FloatArray:
+        """The garment as it lies [m], shape [vertex_count, 3]."""
+        return self.simulation.positions[0]
+
+    def dress(self) -> None:
+        """Put the modelled garment on in the rest pose."""
+        self._place(Pose.at_rest(self.rig))
+        self.simulation.start(self.garment.positions)
+        self.simulation.move_body(self.bodies.positions(self._pose))
+
+    def resume(self, state: ClothState, pose: Pose) -> None:
+        """Go on from a state that belongs to this pose."""
+        self._place(pose)
+        self.simulation.restore(state)
+        self.simulation.move_body(self.bodies.positions(pose))
+
+    def fractions(self, start: Pose, end: Pose) -> FloatArray:
+        """Even steps from one pose to another, none turning a bone further than the settings allow."""
+        turns = rotations.multiply(rotations.conjugate(start.turns(self.rig)), end.turns(self.rig))
+        largest = float(np.linalg.norm(rotations.to_rotvec(turns), axis=1).max())
+        count = max(1, int(np.ceil(largest / self.settings.turn_step - 1e-6)))
+        return np.arange(1, count + 1) / count
+
+    def follow(self, pose: Pose) -> None:
+        """Move the body a small step on; the garment is carried along by its skin and relaxes."""
+        before = self._pose.deformations(self.rig)
+        # Each bone's own motion is blended, never the inverse of a blend, which is singular at a large twist.
+        motion = pose.deformations(self.rig) @ np.linalg.inv(before)
+        carried = self.garment.weights.carry(motion, self.positions)
+        self._place(pose)
+        self.simulation.follow(self.bodies.positions(pose), carried)
+
+    def walk(self, pose: Pose) -> None:
+        """Move the body to a pose along every bone's arc, in small steps."""
+        start = self._pose
+        for fraction in self.fractions(start, pose):
+            self.follow(pose if fraction == 1.0 else pose_between(self.rig, start, pose, float(fraction)))
+
+    def settle(self) -> dict[str, Any]:
+        """Bring the garment to equilibrium; reports how close it came and how it lies."""
+        settings = self.settings
+        report: SettleReport = self.simulation.settle(settings.settle_tolerance, settings.settle_iterations)
+        clearance = self.simulation.clearance()[0]
+        return {
+            "residual": round(report.residual, 4),
+            "converged": report.converged,
+            "iterations": report.iterations,
+            "linear_iterations": report.linear_iterations,
+            "inside": int((clearance < -0.001).sum()),
+            "deepest_mm": round(float(max(0.0, -clearance.min()) * 1e3), 3),
+        }
+
+    def _place(self, pose: Pose) -> None:
+        """Turn what goes with the skin: the outward directions and the pins."""
+        self._pose = pose
+        turns = self.garment.weights.turn(pose.turns(self.rig))
+        self.simulation.set_outward(rotations.rotate(turns, self.garment.normals))
+        self.simulation.place_pins(self.garment.weights.carry(pose.deformations(self.rig), self.garment.positions))
+
+
+def limb_directions(rig: Rig, garment: Garment) -> FloatArray:
+    """Direction along the limb under each triangle, from its bones, unit vectors, shape [triangle_count, 3]."""
+    directions = garment.weights.blend(rig.rest[:, :3, 1])
+    faces = directions[garment.faces].sum(1)
+    return faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-9)

@@ -1,0 +1,244 @@
+"""The garment as a material body: rest state, masses and the sparsity of its equations, built once.
+
+Built from the garment's rest surface with NumPy; :class:`~.cloth.ClothSimulation` uploads it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Fabric:
+    """What the garment is made of.
+
+    Attributes:
+        stretch: Stiffness against stretching [N/m].
+        poisson: How much a stretched strip narrows, from 0 up to 0.5.
+        shear: Stiffness against shearing as a share of the isotropic one; woven cloth shears more easily.
+        bending: Bending stiffness [N m].
+        density: Mass per area [kg/m^2].
+        friction: Coulomb coefficient against the body, static and dynamic (S49).
+    """
+
+    stretch: float = 120.0
+    poisson: float = 0.3
+    shear: float = 1.0
+    bending: float = 2.0e-5
+    density: float = 0.15
+    friction: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name in ("stretch", "bending", "density"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"The fabric's {name} must be greater than 0, not {getattr(self, name)}.")
+        if not 0.0 <= self.poisson < 0.5:
+            raise ValueError(f"The fabric's Poisson ratio must lie in [0, 0.5), not be {self.poisson}.")
+        if self.friction < 0.0 or self.shear <= 0.0:
+            raise ValueError("The fabric's friction must not be negative and its shear must be greater than 0.")
+
+    @property
+    def stiffness(self) -> tuple[float, float, float, float]:
+        """(c11, c12, c22, c33) of :mod:`..kernels.cloth.membrane` [N/m]."""
+        along = self.stretch / (1.0 - self.poisson**2)
+        return along, self.poisson * along, along, self.shear * self.stretch / (2.0 * (1.0 + self.poisson))
+
+
+@dataclass(frozen=True, eq=False)
+class ClothModel:
+    """Rest state and sparsity of one garment.
+
+    Attributes:
+        rest_positions: The rest surface [m], shape [vertex_count, 3].
+        faces: Triangles, shape [triangle_count, 3].
+        rest_inverse: Inverse of the rest edge matrix in material axes [1/m], shape [triangle_count, 2, 2].
+        rest_area: Rest area of each triangle [m^2], shape [triangle_count].
+        mass: Mass of each vertex [kg], shape [vertex_count].
+        area: Rest area that each vertex stands for [m^2], shape [vertex_count].
+        corner_start, corners: For each vertex the list of its triangle corners, triangle * 3 + corner.
+        row_start, columns: One-ring of each vertex, itself included, in ascending order.
+        diagonal_entry: Place of each vertex in its own row.
+        contribution_start, contributions: For each block the triangle corners pairs that add to it,
+            triangle * 9 + row corner * 3 + column corner.
+        bending_start, bending_columns, bending_coefficients: The matrix b Q of the quadratic bending energy [N/m].
+        block_bending: The part of b Q that falls on the one-ring's blocks [N/m].
+        far_start, far_columns, far_coefficients: The part of b Q outside the one-ring [N/m].
+    """
+
+    fabric: Fabric
+    rest_positions: FloatArray
+    faces: IntArray
+    rest_inverse: FloatArray
+    rest_area: FloatArray
+    mass: FloatArray
+    area: FloatArray
+    corner_start: IntArray
+    corners: IntArray
+    row_start: IntArray
+    columns: IntArray
+    diagonal_entry: IntArray
+    contribution_start: IntArray
+    contributions: IntArray
+    bending_start: IntArray
+    bending_columns: IntArray
+    bending_coefficients: FloatArray
+    block_bending: FloatArray
+    far_start: IntArray
+    far_columns: IntArray
+    far_coefficients: FloatArray = field(repr=False)
+
+    @property
+    def vertex_count(self) -> int:
+        return len(self.rest_positions)
+
+    @property
+    def triangle_count(self) -> int:
+        return len(self.faces)
+
+
+def build_cloth_model(
+    positions: FloatArray,
+    faces: IntArray,
+    fabric: Fabric,
+    *,
+    length_directions: FloatArray | None = None,
+    ease: tuple[float, float] = (0.0, 0.0),
+) -> ClothModel:
+    """Build the model of a garment cut like ``positions`` and then let out by ``ease``.
+
+    Args:
+        positions: The garment's rest surface [m], shape [vertex_count, 3].
+        faces: Triangles, shape [triangle_count, 3].
+        fabric: The material.
+        length_directions: Direction of each triangle's length (along the limb), shape [triangle_count, 3]; needed
+            when there is ease.
+        ease: Extra cloth around the girth and along the length, as shares of the surface's own size: design slack
+            that turns a shell into a garment that can fold.
+
+    Raises:
+        ValueError: If a triangle has no area.
+    """
+    positions = np.asarray(positions, np.float64)
+    faces = np.asarray(faces, np.int32)
+    corners = positions[faces]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normals = np.cross(first, second)
+    doubled = np.linalg.norm(normals, axis=1)
+    if (doubled < 1e-12).any():
+        raise ValueError(f"{int((doubled < 1e-12).sum())} triangles of the garment have no area; merge by distance.")
+    normals /= doubled[:, None]
+    length = first if length_directions is None else length_directions
+    length = length - (length * normals).sum(1, keepdims=True) * normals
+    size = np.linalg.norm(length, axis=1)
+    # A length that stands on the triangle tells nothing; any direction in the plane serves there.
+    length = np.where((size > 1e-6)[:, None], length, first)
+    length /= np.linalg.norm(length, axis=1)[:, None]
+    girth = np.cross(normals, length)
+    girth_scale, length_scale = 1.0 + ease[0], 1.0 + ease[1]
+    edges = np.empty((len(faces), 2, 2))
+    for column, edge in enumerate((first, second)):
+        edges[:, 0, column] = (edge * length).sum(1) * length_scale
+        edges[:, 1, column] = (edge * girth).sum(1) * girth_scale
+    rest_area = 0.5 * np.linalg.det(edges)
+    vertex_count = len(positions)
+    area = np.bincount(faces.ravel(), np.repeat(rest_area / 3.0, 3), vertex_count)
+    corner_start, corner_list = group(faces.ravel(), vertex_count)
+    row_start, columns, contribution_start, contributions = _one_ring(faces, vertex_count)
+    rows = np.repeat(np.arange(vertex_count), np.diff(row_start))
+    b_rows, b_columns, b_values = _quadratic_bending(positions, faces, fabric.bending)
+    bending_start = _row_starts(b_rows, vertex_count)
+    # Both lists are sorted by (row, column), so their keys can be searched.
+    ring_keys = rows.astype(np.int64) * vertex_count + columns
+    bending_keys = b_rows.astype(np.int64) * vertex_count + b_columns
+    place = np.minimum(np.searchsorted(ring_keys, bending_keys), len(ring_keys) - 1)
+    near = ring_keys[place] == bending_keys
+    block_bending = np.zeros(len(columns))
+    block_bending[place[near]] = b_values[near]
+    return ClothModel(
+        fabric=fabric,
+        rest_positions=positions,
+        faces=faces,
+        rest_inverse=np.linalg.inv(edges),
+        rest_area=rest_area,
+        mass=area * fabric.density,
+        area=area,
+        corner_start=corner_start,
+        corners=corner_list,
+        row_start=row_start,
+        columns=columns,
+        diagonal_entry=np.flatnonzero(rows == columns).astype(np.int32),
+        contribution_start=contribution_start,
+        contributions=contributions,
+        bending_start=bending_start,
+        bending_columns=b_columns.astype(np.int32),
+        bending_coefficients=b_values,
+        block_bending=block_bending,
+        far_start=_row_starts(b_rows[~near], vertex_count),
+        far_columns=b_columns[~near].astype(np.int32),
+        far_coefficients=b_values[~near],
+    )
+
+
+def group(owners: NDArray[np.integer], owner_count: int) -> tuple[IntArray, IntArray]:
+    """Lists of entries by owner: (start, entries) with entries[start[i] : start[i + 1]] owned by i, ascending."""
+    return _row_starts(np.sort(owners), owner_count), np.argsort(owners, kind="stable").astype(np.int32)
+
+
+def _row_starts(sorted_rows: NDArray[np.integer], row_count: int) -> IntArray:
+    return np.searchsorted(sorted_rows, np.arange(row_count + 1)).astype(np.int32)
+
+
+def _one_ring(faces: IntArray, vertex_count: int) -> tuple[IntArray, IntArray, IntArray, IntArray]:
+    """Block rows of a mesh and, for each block, the corner pairs that contribute to it."""
+    i, j = np.meshgrid(range(3), range(3), indexing="ij")
+    keys = faces[:, i.ravel()].astype(np.int64) * vertex_count + faces[:, j.ravel()]
+    blocks, entry = np.unique(keys.ravel(), return_inverse=True)
+    start, contributions = group(entry.ravel(), len(blocks))
+    return _row_starts(blocks // vertex_count, vertex_count), (blocks % vertex_count).astype(np.int32), start, contributions
+
+
+def inner_edges(faces: IntArray) -> IntArray:
+    """Edges between two triangles as (edge start, edge end, opposite in the first, opposite in the second).
+
+    The edge runs along the winding of its first triangle. Shape [edge_count, 4], in a fixed order.
+    """
+    count = len(faces)
+    starts = faces.ravel()
+    ends = faces[:, [1, 2, 0]].ravel()
+    opposites = faces[:, [2, 0, 1]].ravel()
+    low, high = np.minimum(starts, ends).astype(np.int64), np.maximum(starts, ends)
+    keys = low * (int(faces.max()) + 1 if count else 1) + high
+    order = np.argsort(keys, kind="stable")
+    same = keys[order][1:] == keys[order][:-1]
+    first, second = order[:-1][same], order[1:][same]
+    return np.stack([starts[first], ends[first], opposites[first], opposites[second]], 1).astype(np.int32)
+
+
+def _quadratic_bending(
+    positions: FloatArray, faces: IntArray, bending: float
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """b Q as sorted triplets (row, column, value), from each inner edge's cotangents."""
+    edges = inner_edges(faces)
+    x0, x1, x2, x3 = (positions[edges[:, k]] for k in range(4))
+    vertex_count = len(positions)
+
+    def cotangent(a: FloatArray, b: FloatArray) -> FloatArray:
+        return (a * b).sum(1) / np.linalg.norm(np.cross(a, b), axis=1)
+
+    e = x1 - x0
+    # Angles at the edge's ends: 01 and 03 at x0 and x1 in the first triangle, 02 and 04 in the second.
+    c01, c02 = cotangent(e, x2 - x0), cotangent(e, x3 - x0)
+    c03, c04 = cotangent(-e, x2 - x1), cotangent(-e, x3 - x1)
+    k = np.stack([c03 + c04, c01 + c02, -c01 - c03, -c02 - c04], 1)
+    areas = 0.5 * np.linalg.norm(np.cross(e, x2 - x0), axis=1) + 0.5 * np.linalg.norm(np.cross(e, x3 - x0), axis=1)
+    values = (3.0 * bending / areas)[:, None, None] * k[:, :, None] * k[:, None, :]
+    keys = edges[:, :, None].astype(np.int64) * vertex_count + edges[:, None, :]
+    unique, entry = np.unique(keys.ravel(), return_inverse=True)
+    summed = np.bincount(entry.ravel(), values.ravel(), len(unique))
+    return (unique // vertex_count).astype(np.int32), (unique % vertex_count).astype(np.int32), summed

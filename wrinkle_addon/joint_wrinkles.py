@@ -1,0 +1,374 @@
+"""Method 1: a wrinkle database sampled joint by joint (Wang, Hecht, Ramamoorthi, O'Brien 2010).
+
+Two formulations from one database. ``OFFSETS`` interpolates offsets over skinning and adds up the joints; it is the
+default, because it follows bones that were not sampled and has no seams. ``PAPER`` interpolates positions along arcs
+(eq 1 to 3) and averages the joints' meshes by distance to the neighbouring regions (eq 4).
+"""
+
+from __future__ import annotations
+
+import enum
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ..kernels.blend import Cells, Offsets, Positions, blend_offsets, blend_positions
+from ..kernels.interpolate import CORNERS
+from ..kernels.skinning import Skin
+from . import rotations
+from .cloth_model import group
+from .database import WrinkleDatabase
+from .garment import SkinWeights, distances_to_segments
+from .method import Evaluator, Method, SplitLaunch
+from .plan import JointGrid, Sample
+from .rig import FloatArray, Pose, pose_of_angles
+
+WINDOW_START, WINDOW_END = 0.5, 0.8
+"""Distance from a joint's two regions at which its influence begins to fade and has faded [m]."""
+
+SEAM_DISTANCE = 1.0e-4
+"""Distances in eq 4 are kept above this [m], so that weights stay defined on a seam (X02)."""
+
+
+class Formulation(enum.Enum):
+    """How per-joint samples meet in one pose."""
+
+    OFFSETS = "offsets"
+    PAPER = "paper"
+
+
+@dataclass(frozen=True)
+class GridCell:
+    """The cell of a joint's grid around some angles.
+
+    Attributes:
+        lower, upper: Nodes on both sides in each degree of freedom; the same one on an axis with a single node.
+        fraction: Place between the lower and the upper node, from 0 to 1, shape [dof].
+        beyond: How far the angles lie outside the grid [rad], shape [dof].
+    """
+
+    lower: tuple[int, ...]
+    upper: tuple[int, ...]
+    fraction: FloatArray
+    beyond: FloatArray
+
+
+def find_cell(grid: JointGrid, angles: FloatArray) -> GridCell:
+    """Locate angles [rad] in a joint's grid, clamped to it."""
+    lower, upper, fraction, beyond = [], [], [], []
+    for values, angle in zip(grid.angles, angles, strict=True):
+        clamped = min(max(angle, values[0]), values[-1])
+        node = min(max(int(np.searchsorted(values, clamped, side="right")) - 1, 0), max(len(values) - 2, 0))
+        above = min(node + 1, len(values) - 1)
+        width = values[above] - values[node]
+        lower.append(node)
+        upper.append(above)
+        fraction.append((clamped - values[node]) / width if width > 0.0 else 0.0)
+        beyond.append(angle - clamped)
+    return GridCell(tuple(lower), tuple(upper), np.array(fraction), np.array(beyond))
+
+
+class JointWrinkles(Method):
+    """A wrinkle database, ready to be bound to a device.
+
+    Args:
+        database: The database; every sample is read here, once.
+        formulation: How samples meet.
+        hinges_about_axis: In the paper's formulation, interpolate hinges by eq 3 about their own axis instead of eq 1.
+    """
+
+    def __init__(
+        self,
+        database: WrinkleDatabase,
+        formulation: Formulation = Formulation.OFFSETS,
+        *,
+        hinges_about_axis: bool = True,
+    ):
+        self.database = database
+        self.formulation = formulation
+        self.hinges_about_axis = hinges_about_axis
+        self.header = database.header
+        self.samples = dict(database.samples())
+
+    @property
+    def vertex_count(self) -> int:
+        return self.header.garment.vertex_count
+
+    @cached_property
+    def segment_distances(self) -> FloatArray:
+        """Distance of each vertex to each region of the settled garment [m], shape [vertex_count, segment_count]."""
+        return distances_to_segments(self.database.rest, self.header.garment.faces, self.header.regions)
+
+    def window(self, joint: str) -> NDArray[np.float32]:
+        """phi_J: 1 on and around the joint's regions, fading smoothly to 0 far away, shape [vertex_count]."""
+        distance = self.segment_distances[:, self.header.regions.joints[joint]].min(1)
+        t = np.clip((WINDOW_END - distance) / (WINDOW_END - WINDOW_START), 0.0, 1.0)
+        return (t * t * (3.0 - 2.0 * t)).astype(np.float32)
+
+    def distance_weights(self) -> dict[str, FloatArray]:
+        """Eq 4's weight of every joint on every vertex, inverse to the distance of the region beyond it (W66).
+
+        They add up to 1 wherever the vertex's region borders on a joint, and are 0 elsewhere; shape [vertex_count].
+        """
+        regions = self.header.regions
+        own = regions.vertex_segment
+        inverse: dict[str, FloatArray] = {}
+        for name, (near, far) in regions.joints.items():
+            beyond = np.where(own == near, far, np.where(own == far, near, -1))
+            distance = self.segment_distances[np.arange(len(own)), np.maximum(beyond, 0)]
+            inverse[name] = np.where(beyond >= 0, 1.0 / np.maximum(distance, SEAM_DISTANCE), 0.0)
+        total = np.sum(list(inverse.values()), axis=0)
+        return {name: values / np.where(total > 0.0, total, 1.0) for name, values in inverse.items()}
+
+    def bind(self, device: str = "cpu") -> JointEvaluator:
+        target = wp.get_device(device)
+        if self.formulation is Formulation.PAPER:
+            return PaperEvaluator(self, target)
+        return OffsetEvaluator(self, target)
+
+
+class JointEvaluator(Evaluator):
+    """What both formulations share: the skin, the joints' cells, and the small arrays uploaded with a pose."""
+
+    def __init__(self, method: JointWrinkles, device: wp.Device):
+        header = method.header
+        self._device = device
+        self._grids = header.plan.grids
+        self._rig = header.rig
+        self._joints = header.joints
+        self._vertex_count = header.garment.vertex_count
+        self._launch = SplitLaunch(self._vertex_count, device)
+        self._skin = upload_skin(method.database.rest, header.garment.weights, device)
+        joints, bones = len(self._grids), header.rig.bone_count
+        self._matrices = HostArray((bones, 3), wp.vec4, device)
+        self._turns = HostArray((bones,), wp.quat, device)
+        self._corner_start = HostArray((joints, CORNERS), wp.int32, device)
+        self._strength = HostArray((joints,), wp.float32, device)
+        self.clamped: dict[str, FloatArray] = {}
+
+    @property
+    def vertex_count(self) -> int:
+        return self._vertex_count
+
+    @property
+    def device(self) -> wp.Device:
+        return self._device
+
+    def _read_pose(self, pose: Pose, strength: Mapping[str, float] | float) -> tuple[FloatArray, list[GridCell]]:
+        """Fill the arrays that every formulation needs; returns the deformations and each joint's cell."""
+        deformations = pose.deformations(self._rig)
+        turns = rotations.from_matrices(deformations[:, :3, :3])
+        self._matrices.host[:] = deformations[:, :3, :]
+        self._turns.host[:] = turns[:, [1, 2, 3, 0]]
+        cells = []
+        self.clamped.clear()
+        for number, grid in enumerate(self._grids):
+            cell = find_cell(grid, grid.joint.angles(self._rig, turns))
+            cells.append(cell)
+            if cell.beyond.any():
+                self.clamped[grid.joint.name] = cell.beyond
+            name = grid.joint.name
+            self._strength.host[number] = strength.get(name, 1.0) if isinstance(strength, Mapping) else strength
+        for array in (self._matrices, self._turns, self._strength):
+            array.upload()
+        return deformations, cells
+
+
+class OffsetEvaluator(JointEvaluator):
+    """p(v) = x(v) + Q(v) sum over J of phi_J(v) delta_J(v, a_J)."""
+
+    def __init__(self, method: JointWrinkles, device: wp.Device):
+        super().__init__(method, device)
+        owners, numbers, places, windows, data = [], [], [], [], []
+        self._starts: list[dict[tuple[int, ...], int]] = []
+        base = 0
+        for number, grid in enumerate(self._grids):
+            name = grid.joint.name
+            stored = {index: method.samples[Sample(name, index)] for index in grid.nodes()}
+            window = method.window(name)
+            moved = np.zeros(self._vertex_count, bool)
+            for sample in stored.values():
+                moved[sample.vertices] = True
+            vertices = np.flatnonzero(moved & (window > 0.0))
+            place = np.full(self._vertex_count, -1)
+            place[vertices] = np.arange(len(vertices))
+            starts = {}
+            for index, sample in stored.items():
+                block = np.zeros((len(vertices), 3), np.float32)
+                kept = place[sample.vertices] >= 0
+                block[place[sample.vertices[kept]]] = sample.offsets[kept]
+                starts[index] = base
+                base += len(vertices)
+                data.append(block)
+            self._starts.append(starts)
+            owners.append(vertices)
+            numbers.append(np.full(len(vertices), number))
+            places.append(np.arange(len(vertices)))
+            windows.append(window[vertices])
+        self._corner_weight = HostArray((len(self._grids), CORNERS), wp.float32, device)
+        start, order = group(np.concatenate(owners), self._vertex_count)
+        samples = Offsets()
+        samples.entry_start = wp.array(start, dtype=wp.int32, device=device)
+        samples.entry_joint = wp.array(np.concatenate(numbers)[order], dtype=wp.int32, device=device)
+        samples.entry_place = wp.array(np.concatenate(places)[order], dtype=wp.int32, device=device)
+        samples.entry_window = wp.array(np.concatenate(windows)[order], dtype=wp.float32, device=device)
+        samples.offsets = wp.array(np.concatenate(data or [np.zeros((0, 3))]), dtype=wp.vec3, device=device)
+        self._samples = samples
+
+    def evaluate(self, pose: Pose, out: wp.array, strength: Mapping[str, float] | float = 1.0) -> None:
+        _, cells = self._read_pose(pose, strength)
+        self._corner_start.host[:] = -1
+        for number, (grid, cell) in enumerate(zip(self._grids, cells, strict=True)):
+            corner = 0
+            for node, weight in corner_nodes(cell):
+                # The rest sample is all zeros and is not stored.
+                if weight > 0.0 and node != grid.rest:
+                    self._corner_start.host[number, corner] = self._starts[number][node]
+                    self._corner_weight.host[number, corner] = weight
+                    corner += 1
+        self._corner_start.upload()
+        self._corner_weight.upload()
+        self._launch(
+            blend_offsets,
+            [
+                self._skin,
+                self._samples,
+                self._matrices.device,
+                self._turns.device,
+                self._corner_start.device,
+                self._corner_weight.device,
+                self._strength.device,
+            ],
+            [out],
+        )
+
+
+class PaperEvaluator(JointEvaluator):
+    """Positions interpolated by eq 1 to 3 and averaged by eq 4 in the rigid frames of the regions."""
+
+    def __init__(self, method: JointWrinkles, device: wp.Device):
+        super().__init__(method, device)
+        regions = method.header.regions
+        self._segment_bones = regions.frames
+        segments, count = len(regions.segments), len(self._grids)
+        weights = method.distance_weights()
+        owners, numbers, places, frames, shares, data = [], [], [], [], [], []
+        self._starts: list[dict[tuple[int, ...], int]] = []
+        base = 0
+        for number, grid in enumerate(self._grids):
+            name = grid.joint.name
+            vertices = np.flatnonzero(weights[name] > 0.0)
+            starts = {}
+            for index in itertools.product(*(range(n) for n in grid.shape)):
+                sample = Sample(name, index)
+                whole = method.database.rest if index == grid.rest else method.database.positions(sample)
+                starts[index] = base
+                base += len(vertices)
+                data.append(whole[vertices].astype(np.float32))
+            self._starts.append(starts)
+            owners.append(vertices)
+            numbers.append(np.full(len(vertices), number))
+            places.append(np.arange(len(vertices)))
+            frames.append(number * segments + regions.vertex_segment[vertices])
+            shares.append(weights[name][vertices])
+        start, order = group(np.concatenate(owners), self._vertex_count)
+        samples = Positions()
+        samples.entry_start = wp.array(start, dtype=wp.int32, device=device)
+        samples.entry_joint = wp.array(np.concatenate(numbers)[order], dtype=wp.int32, device=device)
+        samples.entry_place = wp.array(np.concatenate(places)[order], dtype=wp.int32, device=device)
+        samples.entry_frame = wp.array(np.concatenate(frames)[order], dtype=wp.int32, device=device)
+        samples.entry_weight = wp.array(np.concatenate(shares)[order], dtype=wp.float32, device=device)
+        samples.positions = wp.array(np.concatenate(data), dtype=wp.vec3, device=device)
+        self._samples = samples
+        self._fraction = HostArray((count,), wp.vec3, device)
+        self._twist_axis = HostArray((count, 4), wp.vec3, device)
+        self._frames = HostArray((count * segments, 3), wp.vec4, device)
+        cells = Cells()
+        cells.corner_start = self._corner_start.device
+        cells.fraction = self._fraction.device
+        cells.twist_axis = self._twist_axis.device
+        cells.dof = wp.array([joint.dof for joint in self._joints], dtype=wp.int32, device=device)
+        cells.centre = wp.array([joint.pivot(self._rig) for joint in self._joints], dtype=wp.vec3, device=device)
+        cells.hinge_axis = wp.array([joint.axes[0] for joint in self._joints], dtype=wp.vec3, device=device)
+        cells.hinge_about_axis = int(method.hinges_about_axis)
+        self._cells = cells
+
+    def evaluate(self, pose: Pose, out: wp.array, strength: Mapping[str, float] | float = 1.0) -> None:
+        deformations, cells = self._read_pose(pose, strength)
+        segments = len(self._segment_bones)
+        for number, (grid, cell) in enumerate(zip(self._grids, cells, strict=True)):
+            joint = grid.joint
+            for corner, (node, _) in enumerate(corner_nodes(cell)):
+                self._corner_start.host[number, corner] = self._starts[number][node]
+            self._fraction.host[number, : joint.dof] = cell.fraction
+            if joint.dof == 3:
+                # At each swing node the twist axis is the bone as the swing alone has turned it.
+                for swing, (node, _) in enumerate(corner_nodes(cell)[::2]):
+                    angles = grid.at(node)
+                    turn = joint.turn([0.0, angles[1], angles[2]])
+                    self._twist_axis.host[number, swing] = rotations.rotate(turn, joint.axes[0])
+            clamped = grid.at(cell.lower) + cell.fraction * (grid.at(cell.upper) - grid.at(cell.lower))
+            alone = pose_of_angles(self._rig, [joint], {joint.name: clamped}).deformations(self._rig)
+            for segment, bone in enumerate(self._segment_bones):
+                rigid = deformations[bone] @ np.linalg.inv(alone[bone])
+                self._frames.host[number * segments + segment] = rigid[:3, :]
+        for array in (self._corner_start, self._fraction, self._twist_axis, self._frames):
+            array.upload()
+        self._launch(
+            blend_positions,
+            [
+                self._skin,
+                self._samples,
+                self._cells,
+                self._frames.device,
+                self._matrices.device,
+                self._strength.device,
+            ],
+            [out],
+        )
+
+
+def corner_nodes(cell: GridCell) -> list[tuple[tuple[int, ...], float]]:
+    """Nodes around a cell with their multilinear weights; the bits of a corner's number choose the upper nodes."""
+    dof = len(cell.lower)
+    nodes = []
+    for corner in range(2**dof):
+        bits = [(corner >> axis) & 1 for axis in range(dof)]
+        weight = float(np.prod([t if bit else 1.0 - t for bit, t in zip(bits, cell.fraction, strict=True)]))
+        node = tuple(above if bit else below for below, above, bit in zip(cell.lower, cell.upper, bits, strict=True))
+        nodes.append((node, weight))
+    return nodes
+
+
+def upload_skin(rest: FloatArray, weights: SkinWeights, device: wp.Device) -> Skin:
+    """The settled garment and its weights as kernels read them."""
+    skin = Skin()
+    skin.rest = wp.array(rest.astype(np.float32), dtype=wp.vec3, device=device)
+    skin.bones = wp.array(weights.bones, dtype=wp.int32, device=device)
+    skin.weights = wp.array(weights.weights, dtype=wp.float32, device=device)
+    return skin
+
+
+class HostArray:
+    """A small array that is filled with NumPy and read by kernels; on the CPU both are the same memory.
+
+    Attributes:
+        host: The NumPy side.
+        device: The Warp side, current after :meth:`upload`.
+    """
+
+    def __init__(self, shape: tuple[int, ...], dtype: type, device: wp.Device):
+        self._pinned = wp.zeros(shape, dtype=dtype, device="cpu", pinned=device.is_cuda)
+        self.host: NDArray = self._pinned.numpy()
+        self.device = self._pinned if device.is_cpu else wp.zeros(shape, dtype=dtype, device=device)
+
+    def upload(self) -> None:
+        if self.device is not self._pinned:
+            wp.copy(self.device, self._pinned)
+
+

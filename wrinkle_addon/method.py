@@ -1,0 +1,90 @@
+"""One interface for every way to turn a pose into a garment."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from os import cpu_count
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from .rig import Pose
+
+LEAST_SPLIT = 16_000
+"""Vertices below which a launch on the CPU is not worth splitting over threads."""
+
+
+class Method(ABC):
+    """A trained method: immutable; :meth:`bind` makes it ready to run."""
+
+    @property
+    @abstractmethod
+    def vertex_count(self) -> int: ...
+
+    @abstractmethod
+    def bind(self, device: str = "cpu") -> Evaluator:
+        """Allocate all that evaluation needs on a Warp device, once."""
+
+
+class Evaluator(ABC):
+    """A method on a device. Evaluation allocates nothing and depends on nothing but the pose and the strengths.
+
+    Attributes:
+        clamped: For each joint whose angles left the sampled range in the last pose, by how much [rad], shape [dof].
+    """
+
+    clamped: Mapping[str, NDArray[np.float64]]
+
+    @abstractmethod
+    def evaluate(self, pose: Pose, out: wp.array, strength: Mapping[str, float] | float = 1.0) -> None:
+        """Write the garment's positions in rig space [m].
+
+        Args:
+            pose: Bone matrices of the rig that the method was made for.
+            out: Array of vec3 on the evaluator's device, shape [vertex_count].
+            strength: Of the wrinkles, in all or by joint; 0 is plain skinning, 1 as simulated.
+        """
+
+    def positions(self, pose: Pose, strength: Mapping[str, float] | float = 1.0) -> NDArray[np.float32]:
+        """:meth:`evaluate` into a new NumPy array, shape [vertex_count, 3]."""
+        out = wp.zeros(self.vertex_count, dtype=wp.vec3, device=self.device)
+        self.evaluate(pose, out, strength)
+        return out.numpy()
+
+    @property
+    @abstractmethod
+    def vertex_count(self) -> int: ...
+
+    @property
+    @abstractmethod
+    def device(self) -> wp.Device: ...
+
+
+class SplitLaunch:
+    """Launches a kernel over vertices whose first argument is the first vertex of its part.
+
+    Warp runs a launch on one thread of a CPU but releases Python's lock, so parts run on several threads.
+    """
+
+    def __init__(self, vertex_count: int, device: wp.Device):
+        threads = max(1, min(cpu_count() or 1, vertex_count // LEAST_SPLIT)) if device.is_cpu else 1
+        edges = np.linspace(0, vertex_count, threads + 1).astype(int)
+        self._parts = [(int(a), int(b - a)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        self._device = device
+        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
+
+    def __call__(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
+        """Run the kernel over all vertices; ``inputs`` leave out the first vertex."""
+        run: list[Callable[[], object]] = [
+            lambda part=part: wp.launch(
+                kernel, dim=part[1], inputs=[part[0], *inputs], outputs=outputs, device=self._device
+            )
+            for part in self._parts
+        ]
+        waiting = [self._pool.submit(task) for task in run[1:]] if self._pool else []
+        run[0]()
+        for task in waiting:
+            task.result()

@@ -1,0 +1,272 @@
+"""Which joint takes which angles: the samples of a wrinkle database, their order, their price (W15-W20)."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .rig import FloatArray, Joint
+from .symmetry import Mirror
+
+HINGE_STEP = np.radians(15.0)
+BALL_STEP = np.radians(30.0)
+TWIST_COUNT = 3
+SPINE_COUNTS = (3, 3, 5)
+STEP_TOLERANCE = 0.1
+"""Share of a step by which gaps may be wider than asked for, rather than adding a whole slab of samples."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One joint turned to one node of its grid; all others rest.
+
+    Attributes:
+        joint: The joint's name.
+        index: Node of the grid in each degree of freedom.
+    """
+
+    joint: str
+    index: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        return f"{self.joint}-{'-'.join(str(i) for i in self.index)}"
+
+
+@dataclass(frozen=True, eq=False)
+class JointGrid:
+    """The angles at which a joint is sampled.
+
+    Attributes:
+        joint: The joint.
+        angles: For each degree of freedom, ascending angles that hold 0 [rad].
+    """
+
+    joint: Joint
+    angles: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        if len(self.angles) != self.joint.dof:
+            raise ValueError(f"Joint {self.joint.name} needs a list of angles for each degree of freedom.")
+        for values in self.angles:
+            if 0.0 not in values or list(values) != sorted(set(values)):
+                raise ValueError(f"The angles of joint {self.joint.name} must ascend and hold 0.")
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return tuple(len(values) for values in self.angles)
+
+    @cached_property
+    def rest(self) -> tuple[int, ...]:
+        """The node at which the joint rests."""
+        return tuple(values.index(0.0) for values in self.angles)
+
+    def at(self, index: Sequence[int]) -> FloatArray:
+        """Angles of a node [rad], shape [dof]."""
+        return np.array([values[i] for values, i in zip(self.angles, index, strict=True)])
+
+    def parent(self, index: tuple[int, ...]) -> tuple[int, ...]:
+        """The neighbour one node nearer to rest, last degree of freedom first; rest is its own parent."""
+        for axis in reversed(range(len(index))):
+            if index[axis] != self.rest[axis]:
+                step = 1 if index[axis] < self.rest[axis] else -1
+                return (*index[:axis], index[axis] + step, *index[axis + 1 :])
+        return index
+
+    def nodes(self) -> Iterator[tuple[int, ...]]:
+        """All nodes but rest, depth first from rest, so that each comes after its parent."""
+        children: dict[tuple[int, ...], list[tuple[int, ...]]] = {}
+        for index in itertools.product(*(range(n) for n in self.shape)):
+            if index != self.rest:
+                children.setdefault(self.parent(index), []).append(index)
+        stack = children.get(self.rest, [])[::-1]
+        while stack:
+            index = stack.pop()
+            yield index
+            stack.extend(children.get(index, [])[::-1])
+
+
+@dataclass(frozen=True, eq=False)
+class SamplePlan:
+    """All samples of a bake, next to the rest pose.
+
+    Attributes:
+        grids: The joints and their angles.
+        mirror: Symmetry by which one side's samples are reflected into the other's, or None.
+    """
+
+    grids: tuple[JointGrid, ...]
+    mirror: Mirror | None = None
+
+    @cached_property
+    def grid(self) -> Mapping[str, JointGrid]:
+        return {grid.joint.name: grid for grid in self.grids}
+
+    @cached_property
+    def samples(self) -> tuple[Sample, ...]:
+        """Every sample, parents first."""
+        return tuple(Sample(grid.joint.name, index) for grid in self.grids for index in grid.nodes())
+
+    @cached_property
+    def simulated(self) -> tuple[Sample, ...]:
+        """The samples that must be simulated; the rest are mirror images of these."""
+        return tuple(sample for sample in self.samples if self.image(sample) is None)
+
+    def angles(self, sample: Sample) -> FloatArray:
+        """Angles of the sample's joint [rad], shape [dof]."""
+        return self.grid[sample.joint].at(sample.index)
+
+    def parent(self, sample: Sample) -> Sample | None:
+        """The sample to simulate this one from; None for the rest pose."""
+        grid = self.grid[sample.joint]
+        index = grid.parent(sample.index)
+        return None if index == grid.rest else Sample(sample.joint, index)
+
+    def image(self, sample: Sample) -> Sample | None:
+        """The simulated sample whose mirror image this one is, or None if it is simulated itself.
+
+        Of two samples that mirror each other the one is simulated whose joint comes first in the plan, or, for a
+        joint in the middle, whose first angle that changes its sign is positive. That choice passes from a sample to
+        its parent, so a simulated sample never waits for a mirrored one.
+        """
+        if self.mirror is None:
+            return None
+        partner = self.mirror.joints[sample.joint]
+        names = [grid.joint.name for grid in self.grids]
+        if partner not in names or names.index(partner) > names.index(sample.joint):
+            return None
+        signs = self.mirror.signs[sample.joint]
+        angles = self.angles(sample)
+        if partner == sample.joint:
+            odd = angles[(signs < 0) & (angles != 0.0)]
+            if not len(odd) or odd[0] > 0.0:
+                return None
+        index = []
+        for values, angle in zip(self.grid[partner].angles, signs * angles, strict=True):
+            nearest = int(np.argmin(np.abs(np.array(values) - angle)))
+            if abs(values[nearest] - angle) > 1e-6:
+                return None
+            index.append(nearest)
+        return Sample(partner, tuple(index))
+
+    def shard(self, number: int, count: int) -> tuple[Sample, ...]:
+        """One of ``count`` consecutive parts of the simulated samples, as even as they go.
+
+        Raises:
+            ValueError: If there is no such shard.
+        """
+        if count < 1 or not 0 <= number < count:
+            raise ValueError(f"There is no shard {number}/{count}; shards go from 0/{count} to {count - 1}/{count}.")
+        total = len(self.simulated)
+        return self.simulated[number * total // count : (number + 1) * total // count]
+
+    def raw_bytes(self, vertex_count: int) -> int:
+        """Size of the paper's own form: every position of every sample as three floats (W34)."""
+        return (len(self.samples) + 1) * vertex_count * 12
+
+
+def spaced_angles(low: float, high: float, step: float) -> tuple[float, ...]:
+    """Angles from low to high through 0, no further apart than ``step`` [rad], evenly spaced on each side of 0."""
+    return _angles(low, high, _intervals(-low, step), _intervals(high, step))
+
+
+def _intervals(extent: float, step: float) -> int:
+    """Number of steps over an extent; none where there is hardly any."""
+    return max(1, int(np.ceil(extent / step - STEP_TOLERANCE))) if extent > STEP_TOLERANCE * step else 0
+
+
+def counted_angles(low: float, high: float, count: int) -> tuple[float, ...]:
+    """``count`` angles from low to high with 0 among them, shared out so that the widest gap is smallest [rad]."""
+    least_below, least_above = int(low < 0.0), int(high > 0.0)
+    splits = [(below, count - 1 - below) for below in range(least_below, count - least_above)]
+    if not splits:
+        return (0.0,)
+    below, above = min(splits, key=lambda n: max(-low / max(n[0], 1), high / max(n[1], 1)))
+    return _angles(low, high, below if low < 0.0 else 0, above if high > 0.0 else 0)
+
+
+def _angles(low: float, high: float, below: int, above: int) -> tuple[float, ...]:
+    """0, ``below`` even steps down to low and ``above`` even steps up to high [rad]."""
+    return (
+        *(low * (1 - k / below) for k in range(below)),
+        0.0,
+        *(high * (k + 1) / above for k in range(above)),
+    )
+
+
+def paper_plan(joints: Sequence[Joint], mirror: Mirror | None = None) -> SamplePlan:
+    """The paper's plan: hinges every 15 degrees, balls every 30, the spine 3 x 3 x 5 (W15, W16).
+
+    The paper does not print its ranges nor how the other balls are cut (X03). Here they have three nodes of twist, as
+    its spine has, which with human ranges comes to 315 samples on the upper body and 229 on the lower (W17, W18).
+    """
+    return SamplePlan(tuple(_paper_grid(joint) for joint in joints), mirror)
+
+
+def _paper_grid(joint: Joint) -> JointGrid:
+    if joint.is_chain and joint.dof == 3:
+        angles = tuple(counted_angles(*limits, count) for limits, count in zip(joint.limits, SPINE_COUNTS, strict=True))
+    else:
+        step = HINGE_STEP if joint.is_hinge else BALL_STEP
+        angles = tuple(spaced_angles(*limits, step) for limits in joint.limits)
+        if not joint.is_hinge:
+            angles = (counted_angles(*joint.limits[0], TWIST_COUNT), *angles[1:])
+    return JointGrid(joint, angles)
+
+
+def budget_plan(joints: Sequence[Joint], simulated: int, mirror: Mirror | None = None) -> SamplePlan:
+    """The finest plan that simulates no more than ``simulated`` samples.
+
+    Starts with the ends of every range and halves, over and over, the widest gap there is, as long as the budget
+    holds; a ball's gap weighs less, because it costs a whole slab of samples.
+
+    Raises:
+        ValueError: If even the ends of the ranges need more samples.
+    """
+    intervals = {
+        joint.name: [[_intervals(-low, np.pi), _intervals(high, np.pi)] for low, high in joint.limits] for joint in joints
+    }
+
+    def plan() -> SamplePlan:
+        grids = (
+            JointGrid(
+                joint,
+                tuple(_angles(*limits, *counts) for limits, counts in zip(joint.limits, intervals[joint.name], strict=True)),
+            )
+            for joint in joints
+        )
+        return SamplePlan(tuple(grids), mirror)
+
+    current = plan()
+    if len(current.simulated) > simulated:
+        raise ValueError(
+            f"Even the ends of all ranges need {len(current.simulated)} samples, more than the {simulated} allowed; "
+            "leave out a joint or allow more."
+        )
+    frozen: set[tuple[str, int, int]] = set()
+    while True:
+        gaps = {
+            (joint.name, axis, side): abs(joint.limits[axis, side]) / intervals[joint.name][axis][side]
+            for joint in joints
+            for axis in range(joint.dof)
+            for side in (0, 1)
+            if intervals[joint.name][axis][side] and (joint.name, axis, side) not in frozen
+        }
+        if not gaps:
+            return current
+        name, axis, side = max(gaps, key=lambda key: gaps[key])
+        pair = [name] if mirror is None or mirror.joints[name] == name else [name, mirror.joints[name]]
+        before = {key: [list(counts) for counts in intervals[key]] for key in pair}
+        for key in pair:
+            mirrored_side = side if key == name or mirror is None or mirror.signs[name][axis] > 0 else 1 - side
+            intervals[key][axis][mirrored_side] += 1
+        refined = plan()
+        if len(refined.simulated) > simulated:
+            intervals.update(before)
+            frozen |= {(key, axis, side) for key in pair} | {(name, axis, side)}
+        else:
+            current = refined
