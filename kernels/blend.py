@@ -8,6 +8,14 @@ from .skinning import Skin, skinned_position, skinned_turn
 wp.set_module_options({"enable_backward": False})
 
 
+@wp.func
+def transform(rows: wp.array[wp.vec4], matrix: wp.int32, p: wp.vec3) -> wp.vec3:
+    """A point under an affine matrix, given as three consecutive rows."""
+    h = wp.vec4(p[0], p[1], p[2], 1.0)
+    row = 3 * matrix
+    return wp.vec3(wp.dot(rows[row], h), wp.dot(rows[row + 1], h), wp.dot(rows[row + 2], h))
+
+
 @wp.struct
 class Offsets:
     """Samples as offsets over skinning, each joint's only on the vertices that it moves.
@@ -27,17 +35,19 @@ def blend_offsets(
     first: wp.int32,
     skin: Skin,
     samples: Offsets,
-    matrices: wp.array2d[wp.vec4],
+    matrices: wp.array[wp.vec4],
     turns: wp.array[wp.quat],
     corner_start: wp.array2d[wp.int32],
     corner_weight: wp.array2d[wp.float32],
     strength: wp.array[wp.float32],
+    placement: wp.array[wp.vec4],
     # outputs
     positions: wp.array[wp.vec3],
 ):
     """p(v) = x(v) + Q(v) sum over joints of strength_J phi_J(v) delta_J(v, a_J) [m].
 
-    Vertices from ``first`` on; each thread of a split launch has its own part.
+    Vertices from ``first`` on; each thread of a split launch has its own part. ``placement`` holds the three rows of
+    the matrix that takes rig space to the space asked for.
     """
     vertex = first + wp.tid()
     total = wp.vec3()
@@ -49,7 +59,7 @@ def blend_offsets(
                 samples.offsets, samples.entry_place[entry], corner_start, corner_weight, joint
             )
     q = skinned_turn(skin, turns, vertex)
-    positions[vertex] = skinned_position(skin, matrices, vertex) + wp.quat_rotate(q, total)
+    positions[vertex] = transform(placement, 0, skinned_position(skin, matrices, vertex) + wp.quat_rotate(q, total))
 
 
 @wp.struct
@@ -120,9 +130,10 @@ def blend_positions(
     skin: Skin,
     samples: Positions,
     cells: Cells,
-    frames: wp.array2d[wp.vec4],
-    matrices: wp.array2d[wp.vec4],
+    frames: wp.array[wp.vec4],
+    matrices: wp.array[wp.vec4],
     strength: wp.array[wp.float32],
+    placement: wp.array[wp.vec4],
     # outputs
     positions: wp.array[wp.vec3],
 ):
@@ -138,10 +149,8 @@ def blend_positions(
         weight = strength[joint] * samples.entry_weight[entry]
         if weight != 0.0:
             p = interpolate_position(samples, cells, joint, samples.entry_place[entry])
-            h = wp.vec4(p[0], p[1], p[2], 1.0)
-            frame = samples.entry_frame[entry]
-            total += weight * wp.vec3(wp.dot(frames[frame, 0], h), wp.dot(frames[frame, 1], h), wp.dot(frames[frame, 2], h))
+            total += weight * transform(frames, samples.entry_frame[entry], p)
             used += weight
     if used != 1.0:
         total += (1.0 - used) * skinned_position(skin, matrices, vertex)
-    positions[vertex] = total
+    positions[vertex] = transform(placement, 0, total)

@@ -15,9 +15,7 @@ class Skin:
 
 
 @wp.func
-def skinned_position(
-    skin: Skin, matrices: wp.array2d[wp.vec4], vertex: wp.int32
-) -> wp.vec3:
+def skinned_position(skin: Skin, matrices: wp.array[wp.vec4], vertex: wp.int32) -> wp.vec3:
     """x(v) [m]: the rest position carried by the blended bone matrices, given as three rows each."""
     rest = skin.rest[vertex]
     p = wp.vec4(rest[0], rest[1], rest[2], 1.0)
@@ -28,10 +26,10 @@ def skinned_position(
         w = skin.weights[vertex, k]
         if w == 0.0:
             break
-        bone = skin.bones[vertex, k]
-        row0 += w * matrices[bone, 0]
-        row1 += w * matrices[bone, 1]
-        row2 += w * matrices[bone, 2]
+        row = 3 * skin.bones[vertex, k]
+        row0 += w * matrices[row]
+        row1 += w * matrices[row + 1]
+        row2 += w * matrices[row + 2]
     return wp.vec3(wp.dot(row0, p), wp.dot(row1, p), wp.dot(row2, p))
 
 

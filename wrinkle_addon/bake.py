@@ -32,6 +32,7 @@ from .database import (
 from .garment import Body, Garment, bind_to_surface, check_fit, check_surface, find_regions
 from .plan import Sample, SamplePlan
 from .rig import FloatArray, Pose, Rig, pose_between, pose_of_angles
+from .surface import SurfaceMeasures
 
 SOLVER_VERSION = 1
 """Raised whenever the solver gives other samples for the same input, so that old ones are not taken for new."""
@@ -131,7 +132,11 @@ class BakeJob:
     def header(self) -> DatabaseHeader:
         joints = [grid.joint for grid in self.plan.grids]
         regions = find_regions(self.rig, joints, self.garment.weights)
-        return DatabaseHeader(self.key, self.rig, self.plan, self.garment, regions)
+        return DatabaseHeader(self.key, self.rig, self.plan, self.garment, regions, asdict(self.settings))
+
+    def pose(self, sample: Sample) -> Pose:
+        """The pose of a sample: its joint turned, all others at rest."""
+        return pose_of_angles(self.rig, self.header.joints, {sample.joint: self.plan.angles(sample)})
 
 
 @dataclass(frozen=True)
@@ -161,8 +166,16 @@ def bake(
     folder: Path | str,
     *,
     shard: tuple[int, int] = (0, 1),
+    rest_only: bool = False,
 ) -> Iterator[BakeEvent]:
     """Bake one shard of a job into a folder, skipping what is there, and finish the database if it is complete.
+
+    Args:
+        job: What to bake.
+        source: Where the samples come from.
+        folder: The database's folder.
+        shard: (number, count) of the part to bake.
+        rest_only: Stop after the rest pose, which every shard needs.
 
     Yields:
         An event after each finished sample.
@@ -181,6 +194,8 @@ def bake(
     total, done = 1 + len(mine), 1 + len(mine) - len(todo)
     if report is not None:
         yield BakeEvent("rest", done, total, time.perf_counter() - started, float("nan"), report)
+    if rest_only:
+        return
     spent = []
     for count, sample in enumerate(todo, 1):
         started = time.perf_counter()
@@ -198,7 +213,7 @@ def finish(job: BakeJob, folder: Path | str) -> bool:
     folder = Path(folder)
     if not all(path.exists() for path in expected_files(folder, job.key, job.plan)):
         return False
-    write_manifest(folder, job.header, asdict(job.settings))
+    write_manifest(folder, job.header)
     return True
 
 
@@ -344,6 +359,7 @@ class Wearer:
             ease=settings.ease,
         )
         self._pose = Pose.at_rest(rig)
+        self._surface = SurfaceMeasures(garment.faces, garment.vertex_count)
         self.simulation = ClothSimulation(
             model,
             body.faces,
@@ -372,6 +388,12 @@ class Wearer:
         self.simulation.restore(state)
         self.simulation.move_body(self.bodies.positions(pose))
 
+    def begin(self, positions: FloatArray, pose: Pose) -> None:
+        """Start from positions [m] that belong to this pose, at rest and without memory of earlier contact."""
+        self._place(pose)
+        self.simulation.start(positions)
+        self.simulation.move_body(self.bodies.positions(pose))
+
     def fractions(self, start: Pose, end: Pose) -> FloatArray:
         """Even steps from one pose to another, none turning a bone further than the settings allow."""
         turns = rotations.multiply(rotations.conjugate(start.turns(self.rig)), end.turns(self.rig))
@@ -381,12 +403,22 @@ class Wearer:
 
     def follow(self, pose: Pose) -> None:
         """Move the body a small step on; the garment is carried along by its skin and relaxes."""
+        carried = self._carried(pose)
+        self._place(pose)
+        self.simulation.follow(self.bodies.positions(pose), carried)
+
+    def step(self, pose: Pose, dt: float) -> None:
+        """Move the body on in time; the garment keeps its momentum."""
+        carried = self._carried(pose)
+        self._place(pose)
+        self.simulation.step(self.bodies.positions(pose), dt, guess=carried)
+
+    def _carried(self, pose: Pose) -> FloatArray:
+        """The garment moved along with its skin from the last pose to the next [m], shape [vertex_count, 3]."""
         before = self._pose.deformations(self.rig)
         # Each bone's own motion is blended, never the inverse of a blend, which is singular at a large twist.
         motion = pose.deformations(self.rig) @ np.linalg.inv(before)
-        carried = self.garment.weights.carry(motion, self.positions)
-        self._place(pose)
-        self.simulation.follow(self.bodies.positions(pose), carried)
+        return self.garment.weights.carry(motion, self.positions)
 
     def walk(self, pose: Pose) -> None:
         """Move the body to a pose along every bone's arc, in small steps."""
@@ -398,14 +430,21 @@ class Wearer:
         """Bring the garment to equilibrium; reports how close it came and how it lies."""
         settings = self.settings
         report: SettleReport = self.simulation.settle(settings.settle_tolerance, settings.settle_iterations)
-        clearance = self.simulation.clearance()[0]
         return {
             "residual": round(report.residual, 4),
             "converged": report.converged,
             "iterations": report.iterations,
             "linear_iterations": report.linear_iterations,
+            **self.lie(),
+        }
+
+    def lie(self) -> dict[str, Any]:
+        """How the garment lies: vertices more than 1 mm inside the body, the deepest [mm], triangles that it cuts."""
+        clearance = self.simulation.clearance()[0]
+        return {
             "inside": int((clearance < -0.001).sum()),
             "deepest_mm": round(float(max(0.0, -clearance.min()) * 1e3), 3),
+            "self_intersections": len(self._surface.self_intersections(self.positions)),
         }
 
     def _place(self, pose: Pose) -> None:

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
+from .plate_bending import FloatArray, IntArray, bending_matrix
 
 
 @dataclass(frozen=True)
@@ -20,9 +19,9 @@ class Fabric:
 
     Attributes:
         stretch: Stiffness against stretching [N/m].
-        poisson: How much a stretched strip narrows, from 0 up to 0.5.
+        poisson: How much a stretched strip narrows and a bent one curls across, from 0 up to 0.5.
         shear: Stiffness against shearing as a share of the isotropic one; woven cloth shears more easily.
-        bending: Bending stiffness [N m].
+        bending: Bending stiffness, moment per width and curvature [N m].
         density: Mass per area [kg/m^2].
         friction: Coulomb coefficient against the body, static and dynamic (S49).
     """
@@ -141,17 +140,17 @@ def build_cloth_model(
     length /= np.linalg.norm(length, axis=1)[:, None]
     girth = np.cross(normals, length)
     girth_scale, length_scale = 1.0 + ease[0], 1.0 + ease[1]
-    edges = np.empty((len(faces), 2, 2))
+    edges = np.empty((len(faces), 2, 2), np.float64)
     for column, edge in enumerate((first, second)):
         edges[:, 0, column] = (edge * length).sum(1) * length_scale
         edges[:, 1, column] = (edge * girth).sum(1) * girth_scale
-    rest_area = 0.5 * np.linalg.det(edges)
+    rest_area = 0.5 * np.linalg.det(edges).astype(np.float64)
     vertex_count = len(positions)
-    area = np.bincount(faces.ravel(), np.repeat(rest_area / 3.0, 3), vertex_count)
+    area = np.bincount(faces.ravel(), np.repeat(rest_area / 3.0, 3), vertex_count).astype(np.float64)
     corner_start, corner_list = group(faces.ravel(), vertex_count)
     row_start, columns, contribution_start, contributions = _one_ring(faces, vertex_count)
     rows = np.repeat(np.arange(vertex_count), np.diff(row_start))
-    b_rows, b_columns, b_values = _quadratic_bending(positions, faces, fabric.bending)
+    b_rows, b_columns, b_values = bending_matrix(positions, faces, fabric.bending, fabric.poisson)
     bending_start = _row_starts(b_rows, vertex_count)
     # Both lists are sorted by (row, column), so their keys can be searched.
     ring_keys = rows.astype(np.int64) * vertex_count + columns
@@ -164,7 +163,7 @@ def build_cloth_model(
         fabric=fabric,
         rest_positions=positions,
         faces=faces,
-        rest_inverse=np.linalg.inv(edges),
+        rest_inverse=np.linalg.inv(edges).astype(np.float64),
         rest_area=rest_area,
         mass=area * fabric.density,
         area=area,
@@ -200,45 +199,5 @@ def _one_ring(faces: IntArray, vertex_count: int) -> tuple[IntArray, IntArray, I
     keys = faces[:, i.ravel()].astype(np.int64) * vertex_count + faces[:, j.ravel()]
     blocks, entry = np.unique(keys.ravel(), return_inverse=True)
     start, contributions = group(entry.ravel(), len(blocks))
-    return _row_starts(blocks // vertex_count, vertex_count), (blocks % vertex_count).astype(np.int32), start, contributions
-
-
-def inner_edges(faces: IntArray) -> IntArray:
-    """Edges between two triangles as (edge start, edge end, opposite in the first, opposite in the second).
-
-    The edge runs along the winding of its first triangle. Shape [edge_count, 4], in a fixed order.
-    """
-    count = len(faces)
-    starts = faces.ravel()
-    ends = faces[:, [1, 2, 0]].ravel()
-    opposites = faces[:, [2, 0, 1]].ravel()
-    low, high = np.minimum(starts, ends).astype(np.int64), np.maximum(starts, ends)
-    keys = low * (int(faces.max()) + 1 if count else 1) + high
-    order = np.argsort(keys, kind="stable")
-    same = keys[order][1:] == keys[order][:-1]
-    first, second = order[:-1][same], order[1:][same]
-    return np.stack([starts[first], ends[first], opposites[first], opposites[second]], 1).astype(np.int32)
-
-
-def _quadratic_bending(
-    positions: FloatArray, faces: IntArray, bending: float
-) -> tuple[IntArray, IntArray, FloatArray]:
-    """b Q as sorted triplets (row, column, value), from each inner edge's cotangents."""
-    edges = inner_edges(faces)
-    x0, x1, x2, x3 = (positions[edges[:, k]] for k in range(4))
-    vertex_count = len(positions)
-
-    def cotangent(a: FloatArray, b: FloatArray) -> FloatArray:
-        return (a * b).sum(1) / np.linalg.norm(np.cross(a, b), axis=1)
-
-    e = x1 - x0
-    # Angles at the edge's ends: 01 and 03 at x0 and x1 in the first triangle, 02 and 04 in the second.
-    c01, c02 = cotangent(e, x2 - x0), cotangent(e, x3 - x0)
-    c03, c04 = cotangent(-e, x2 - x1), cotangent(-e, x3 - x1)
-    k = np.stack([c03 + c04, c01 + c02, -c01 - c03, -c02 - c04], 1)
-    areas = 0.5 * np.linalg.norm(np.cross(e, x2 - x0), axis=1) + 0.5 * np.linalg.norm(np.cross(e, x3 - x0), axis=1)
-    values = (3.0 * bending / areas)[:, None, None] * k[:, :, None] * k[:, None, :]
-    keys = edges[:, :, None].astype(np.int64) * vertex_count + edges[:, None, :]
-    unique, entry = np.unique(keys.ravel(), return_inverse=True)
-    summed = np.bincount(entry.ravel(), values.ravel(), len(unique))
-    return (unique // vertex_count).astype(np.int32), (unique % vertex_count).astype(np.int32), summed
+    rows, columns = blocks // vertex_count, (blocks % vertex_count).astype(np.int32)
+    return _row_starts(rows, vertex_count), columns, start, contributions

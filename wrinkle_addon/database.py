@@ -44,7 +44,7 @@ class DatabaseHeader:
     Attributes:
         key: Hash of everything that the samples depend on.
         rig, plan, garment, regions: The character; the plan's mirror is not stored.
-        modelled_topology: Hash of the garment's triangles.
+        settings: How the samples were made.
     """
 
     key: str
@@ -52,6 +52,7 @@ class DatabaseHeader:
     plan: SamplePlan
     garment: Garment
     regions: Regions
+    settings: Mapping[str, Any]
 
     @property
     def joints(self) -> tuple[Joint, ...]:
@@ -68,6 +69,7 @@ class DatabaseHeader:
             "segments": list(regions.segments),
             "segment_frames": [int(frame) for frame in regions.frames],
             "segment_joints": {name: list(sides) for name, sides in regions.joints.items()},
+            "settings": dict(self.settings),
         }
         arrays = {
             "rig_parents": rig.parents,
@@ -112,7 +114,7 @@ class DatabaseHeader:
             plan = SamplePlan(tuple(_grid_from_json(grid) for grid in data["grids"]))
         except (KeyError, IndexError, TypeError) as error:
             raise StorageError(f"The file '{path}' is not a database header of this version; bake again.") from error
-        return DatabaseHeader(data["key"], rig, plan, garment, regions)
+        return DatabaseHeader(data["key"], rig, plan, garment, regions, data.get("settings", {}))
 
 
 def _grid_to_json(grid: JointGrid) -> dict[str, Any]:
@@ -307,7 +309,7 @@ def expected_files(folder: Path, key: str, plan: SamplePlan) -> list[Path]:
     return [header_path(folder, key), rest_path(folder, key), *samples]
 
 
-def write_manifest(folder: Path, header: DatabaseHeader, settings: Mapping[str, Any]) -> None:
+def write_manifest(folder: Path, header: DatabaseHeader) -> None:
     """Record that the database is complete: the names and hashes of its files. Nothing else is written.
 
     Raises:
@@ -324,7 +326,7 @@ def write_manifest(folder: Path, header: DatabaseHeader, settings: Mapping[str, 
         "key": header.key,
         "units": {"length": "metre", "angle": "radian"},
         "garment": {"name": header.garment.name, "vertex_count": header.garment.vertex_count},
-        "settings": dict(settings),
+        "settings": dict(header.settings),
         "plan": {grid.joint.name: [list(values) for values in grid.angles] for grid in header.plan.grids},
         "files": {path.name: storage.file_hash(path) for path in files},
     }

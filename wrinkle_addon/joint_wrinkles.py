@@ -2,7 +2,8 @@
 
 Two formulations from one database. ``OFFSETS`` interpolates offsets over skinning and adds up the joints; it is the
 default, because it follows bones that were not sampled and has no seams. ``PAPER`` interpolates positions along arcs
-(eq 1 to 3) and averages the joints' meshes by distance to the neighbouring regions (eq 4).
+(eq 1 to 3) and averages the joints' meshes by distance to the neighbouring regions (eq 4). ``NEAREST`` adds up the
+offsets of each joint's nearest sample; it is what the others have to beat.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import enum
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -35,11 +36,16 @@ SEAM_DISTANCE = 1.0e-4
 """Distances in eq 4 are kept above this [m], so that weights stay defined on a seam (X02)."""
 
 
+FAR = 100.0
+"""Distance that stands for a region without cloth [m]."""
+
+
 class Formulation(enum.Enum):
     """How per-joint samples meet in one pose."""
 
     OFFSETS = "offsets"
     PAPER = "paper"
+    NEAREST = "nearest"
 
 
 @dataclass(frozen=True)
@@ -120,8 +126,9 @@ class JointWrinkles(Method):
         inverse: dict[str, FloatArray] = {}
         for name, (near, far) in regions.joints.items():
             beyond = np.where(own == near, far, np.where(own == far, near, -1))
-            distance = self.segment_distances[np.arange(len(own)), np.maximum(beyond, 0)]
-            inverse[name] = np.where(beyond >= 0, 1.0 / np.maximum(distance, SEAM_DISTANCE), 0.0)
+            # A region without cloth lies far away, but is still the only one beyond a joint at the garment's end.
+            distance = np.clip(self.segment_distances[np.arange(len(own)), np.maximum(beyond, 0)], SEAM_DISTANCE, FAR)
+            inverse[name] = np.where(beyond >= 0, 1.0 / distance, 0.0)
         total = np.sum(list(inverse.values()), axis=0)
         return {name: values / np.where(total > 0.0, total, 1.0) for name, values in inverse.items()}
 
@@ -129,7 +136,7 @@ class JointWrinkles(Method):
         target = wp.get_device(device)
         if self.formulation is Formulation.PAPER:
             return PaperEvaluator(self, target)
-        return OffsetEvaluator(self, target)
+        return OffsetEvaluator(self, target, nearest=self.formulation is Formulation.NEAREST)
 
 
 class JointEvaluator(Evaluator):
@@ -145,10 +152,11 @@ class JointEvaluator(Evaluator):
         self._launch = SplitLaunch(self._vertex_count, device)
         self._skin = upload_skin(method.database.rest, header.garment.weights, device)
         joints, bones = len(self._grids), header.rig.bone_count
-        self._matrices = HostArray((bones, 3), wp.vec4, device)
+        self._matrices = HostArray((3 * bones,), wp.vec4, device)
         self._turns = HostArray((bones,), wp.quat, device)
         self._corner_start = HostArray((joints, CORNERS), wp.int32, device)
         self._strength = HostArray((joints,), wp.float32, device)
+        self._placement = HostArray((3,), wp.vec4, device)
         self.clamped: dict[str, FloatArray] = {}
 
     @property
@@ -159,11 +167,13 @@ class JointEvaluator(Evaluator):
     def device(self) -> wp.Device:
         return self._device
 
-    def _read_pose(self, pose: Pose, strength: Mapping[str, float] | float) -> tuple[FloatArray, list[GridCell]]:
+    def _read_pose(
+        self, pose: Pose, strength: Mapping[str, float] | float, placement: FloatArray | None
+    ) -> tuple[FloatArray, list[GridCell]]:
         """Fill the arrays that every formulation needs; returns the deformations and each joint's cell."""
         deformations = pose.deformations(self._rig)
         turns = rotations.from_matrices(deformations[:, :3, :3])
-        self._matrices.host[:] = deformations[:, :3, :]
+        self._matrices.host[:] = deformations[:, :3, :].reshape(-1, 4)
         self._turns.host[:] = turns[:, [1, 2, 3, 0]]
         cells = []
         self.clamped.clear()
@@ -174,16 +184,18 @@ class JointEvaluator(Evaluator):
                 self.clamped[grid.joint.name] = cell.beyond
             name = grid.joint.name
             self._strength.host[number] = strength.get(name, 1.0) if isinstance(strength, Mapping) else strength
-        for array in (self._matrices, self._turns, self._strength):
+        self._placement.host[:] = np.eye(4)[:3] if placement is None else placement[:3]
+        for array in (self._matrices, self._turns, self._strength, self._placement):
             array.upload()
         return deformations, cells
 
 
 class OffsetEvaluator(JointEvaluator):
-    """p(v) = x(v) + Q(v) sum over J of phi_J(v) delta_J(v, a_J)."""
+    """p(v) = x(v) + Q(v) sum over J of phi_J(v) delta_J(v, a_J), or with the nearest sample instead of delta_J(a_J)."""
 
-    def __init__(self, method: JointWrinkles, device: wp.Device):
+    def __init__(self, method: JointWrinkles, device: wp.Device, *, nearest: bool = False):
         super().__init__(method, device)
+        self._nearest = nearest
         owners, numbers, places, windows, data = [], [], [], [], []
         self._starts: list[dict[tuple[int, ...], int]] = []
         base = 0
@@ -220,11 +232,19 @@ class OffsetEvaluator(JointEvaluator):
         samples.offsets = wp.array(np.concatenate(data or [np.zeros((0, 3))]), dtype=wp.vec3, device=device)
         self._samples = samples
 
-    def evaluate(self, pose: Pose, out: wp.array, strength: Mapping[str, float] | float = 1.0) -> None:
-        _, cells = self._read_pose(pose, strength)
+    def evaluate(
+        self,
+        pose: Pose,
+        out: wp.array,
+        strength: Mapping[str, float] | float = 1.0,
+        placement: FloatArray | None = None,
+    ) -> None:
+        _, cells = self._read_pose(pose, strength, placement)
         self._corner_start.host[:] = -1
         for number, (grid, cell) in enumerate(zip(self._grids, cells, strict=True)):
             corner = 0
+            if self._nearest:
+                cell = replace(cell, fraction=np.round(cell.fraction))
             for node, weight in corner_nodes(cell):
                 # The rest sample is all zeros and is not stored.
                 if weight > 0.0 and node != grid.rest:
@@ -243,6 +263,7 @@ class OffsetEvaluator(JointEvaluator):
                 self._corner_start.device,
                 self._corner_weight.device,
                 self._strength.device,
+                self._placement.device,
             ],
             [out],
         )
@@ -287,7 +308,7 @@ class PaperEvaluator(JointEvaluator):
         self._samples = samples
         self._fraction = HostArray((count,), wp.vec3, device)
         self._twist_axis = HostArray((count, 4), wp.vec3, device)
-        self._frames = HostArray((count * segments, 3), wp.vec4, device)
+        self._frames = HostArray((3 * count * segments,), wp.vec4, device)
         cells = Cells()
         cells.corner_start = self._corner_start.device
         cells.fraction = self._fraction.device
@@ -298,8 +319,14 @@ class PaperEvaluator(JointEvaluator):
         cells.hinge_about_axis = int(method.hinges_about_axis)
         self._cells = cells
 
-    def evaluate(self, pose: Pose, out: wp.array, strength: Mapping[str, float] | float = 1.0) -> None:
-        deformations, cells = self._read_pose(pose, strength)
+    def evaluate(
+        self,
+        pose: Pose,
+        out: wp.array,
+        strength: Mapping[str, float] | float = 1.0,
+        placement: FloatArray | None = None,
+    ) -> None:
+        deformations, cells = self._read_pose(pose, strength, placement)
         segments = len(self._segment_bones)
         for number, (grid, cell) in enumerate(zip(self._grids, cells, strict=True)):
             joint = grid.joint
@@ -316,7 +343,8 @@ class PaperEvaluator(JointEvaluator):
             alone = pose_of_angles(self._rig, [joint], {joint.name: clamped}).deformations(self._rig)
             for segment, bone in enumerate(self._segment_bones):
                 rigid = deformations[bone] @ np.linalg.inv(alone[bone])
-                self._frames.host[number * segments + segment] = rigid[:3, :]
+                row = 3 * (number * segments + segment)
+                self._frames.host[row : row + 3] = rigid[:3, :]
         for array in (self._corner_start, self._fraction, self._twist_axis, self._frames):
             array.upload()
         self._launch(
@@ -328,6 +356,7 @@ class PaperEvaluator(JointEvaluator):
                 self._frames.device,
                 self._matrices.device,
                 self._strength.device,
+                self._placement.device,
             ],
             [out],
         )

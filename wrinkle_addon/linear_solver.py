@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
 from ..kernels.cloth import assembly, linear
 from .cloth_model import ClothModel
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 PARTS = 64
 RECORDED_ITERATIONS = 10
@@ -19,7 +23,7 @@ class BlockSystem:
 
     Attributes:
         blocks: One-ring Hessian blocks [N/m], shape [world_count, block_count].
-        slot_stiffness: Stiffness of each self-contact [N/m], shape [world_count, vertex_count * SLOTS].
+        pair_stiffness: Stiffness of each self-contact pair [N/m], in the order of the contact's list.
         solution: Step found by :meth:`solve` [m], shape [world_count, vertex_count].
     """
 
@@ -27,6 +31,7 @@ class BlockSystem:
         device = contact.face.device
         vertex_count = model.vertex_count
         self.shape = (world_count, vertex_count)
+        self._model = model
         self._garment = garment
         self._contact = contact
         self._device = device
@@ -52,15 +57,13 @@ class BlockSystem:
 
         self.blocks = wp.zeros((world_count, len(model.columns)), dtype=wp.mat33, device=device)
         self._inverse = wp.zeros(self.shape, dtype=wp.mat33, device=device)
-        self.slot_stiffness = wp.zeros(contact.slot_triangle.shape, dtype=wp.float32, device=device)
-        self._slot_force = wp.zeros(contact.slot_triangle.shape, dtype=wp.vec3, device=device)
+        self._hold_pairs()
         self.solution, self._residual, self._direction = vectors(), vectors(), vectors()
         self._preconditioned, self._product = vectors(), vectors()
         self._partial = wp.zeros((world_count, PARTS), dtype=wp.float64, device=device)
         self._energy, self._first_energy = scalars(wp.float64), scalars(wp.float64)
         self._alpha, self._beta = scalars(wp.float32), scalars(wp.float32)
         self._active, self._iterations = scalars(wp.int32), scalars(wp.int32)
-        self._recorded: dict[float, wp.Graph] = {}
 
     def assemble(
         self,
@@ -68,10 +71,15 @@ class BlockSystem:
         deformation: wp.array,
         stress: wp.array,
         inverse_dt2: wp.array,
-        *,
-        exact: bool = False,
+        kept: wp.array,
     ) -> None:
-        """Fill the blocks at ``positions`` (float64 [m]) for the contact planes as they stand."""
+        """Fill the blocks at ``positions`` (float64 [m]) for the contact planes as they stand.
+
+        ``kept`` is the share of its compressive stress that each world takes into account, shape [world_count]: 1 for
+        the exact Hessian, which may be indefinite, 0 for a positive definite one.
+        """
+        if len(self._contact.pair_triangle) != len(self.pair_stiffness):
+            self._hold_pairs()
         wp.launch(
             assembly.assemble_blocks,
             dim=self.blocks.shape,
@@ -79,7 +87,7 @@ class BlockSystem:
                 self._garment,
                 deformation,
                 stress,
-                exact,
+                kept,
                 self._contribution_start,
                 self._contributions,
                 self._block_bending,
@@ -91,22 +99,33 @@ class BlockSystem:
             assembly.assemble_diagonal,
             dim=self.shape,
             inputs=[positions, self._garment, self._contact, inverse_dt2, self._diagonal_entry, self.blocks],
-            outputs=[self.slot_stiffness],
+            outputs=[self.pair_stiffness],
             device=self._device,
         )
         wp.launch(
             assembly.precondition_diagonal,
             dim=self.shape,
-            inputs=[self._contact, self.slot_stiffness, self._diagonal_entry, self.blocks],
+            inputs=[
+                self._garment,
+                self._contact,
+                stress,
+                kept,
+                self.pair_stiffness,
+                self._diagonal_entry,
+                self.blocks,
+            ],
             outputs=[self._inverse],
             device=self._device,
         )
 
-    def solve(self, gradient: wp.array, tolerance: float, max_iterations: int) -> int:
+    def solve(self, gradient: wp.array, moving: wp.array, tolerance: float, max_iterations: int) -> int:
         """Solve H step = -gradient from zero; returns the largest number of iterations that a world took.
+
+        A world whose matrix turns out not to be positive definite keeps the step that it has until then.
 
         Args:
             gradient: Gradient [N], float64, shape [world_count, vertex_count].
+            moving: Worlds with 0 keep still: their step is zero. Shape [world_count].
             tolerance: Share of the first preconditioned residual norm at which a world stops.
             max_iterations: Bound on the iterations, rounded up to the recorded chunk.
         """
@@ -121,11 +140,10 @@ class BlockSystem:
         wp.launch(
             linear.start_scalars,
             dim=self.shape[0],
-            inputs=[self._partial],
-            outputs=[self._energy, self._first_energy, self._active],
+            inputs=[self._partial, moving],
+            outputs=[self._energy, self._first_energy, self._active, self._iterations],
             device=self._device,
         )
-        self._iterations.zero_()
         graph = self._recording(tolerance)
         for _ in range(0, max_iterations, RECORDED_ITERATIONS):
             wp.capture_launch(graph)
@@ -137,10 +155,10 @@ class BlockSystem:
         """``product`` = H ``direction``."""
         launch = _launcher(self._device)
         launch(
-            linear.slot_products,
+            linear.pair_products,
             self.shape,
-            [direction, self._garment.faces, self._contact, self.slot_stiffness],
-            [self._slot_force],
+            [direction, self._garment.faces, self._contact, self.pair_stiffness],
+            [self._pair_force],
         )
         launch(
             linear.multiply,
@@ -154,13 +172,43 @@ class BlockSystem:
                 self._far_columns,
                 self._far_coefficients,
                 self._contact,
-                self._slot_force,
+                self._pair_force,
             ],
             [product],
         )
 
+    def to_scipy(self, world: int) -> sparse.csr_matrix:
+        """One world's matrix [N/m] in SciPy's form, shape [3 vertex_count, 3 vertex_count]."""
+        from scipy import sparse
+
+        model, c, count = self._model, self._contact, self._model.vertex_count
+        shape = (3 * count, 3 * count)
+        blocks = self.blocks.numpy()[world].astype(np.float64)
+        near = sparse.bsr_matrix((blocks, model.columns, model.row_start), shape=shape).tocsr()
+        far = sparse.csr_matrix((model.far_coefficients, model.far_columns, model.far_start), shape=(count, count))
+        owners = slice(world * count, (world + 1) * count)
+        start, counts = c.pair_start.numpy()[owners], c.pair_count.numpy()[owners]
+        pairs = np.arange(start[0], start[0] + counts.sum())
+        corners = model.faces[c.pair_triangle.numpy()[pairs]]
+        vertices = np.concatenate([np.repeat(np.arange(count), counts)[:, None], corners], 1)
+        shares = np.concatenate([np.ones((len(pairs), 1)), -c.pair_weights.numpy()[pairs]], 1).astype(np.float64)
+        factors = shares[:, :, None] * c.pair_normal.numpy()[pairs].astype(np.float64)[:, None, :]
+        rows = np.repeat(np.arange(len(pairs)), 12)
+        columns = (3 * vertices[:, :, None] + np.arange(3)).ravel()
+        jacobian = sparse.csr_matrix((factors.ravel(), (rows, columns)), shape=(len(pairs), 3 * count))
+        stiffness = sparse.diags(self.pair_stiffness.numpy()[pairs].astype(np.float64))
+        return (near + sparse.kron(far, sparse.identity(3)) + jacobian.T @ stiffness @ jacobian).tocsr()
+
+    def _hold_pairs(self) -> None:
+        """Make room for as many self-contact pairs as the contact's list now holds."""
+        capacity = len(self._contact.pair_triangle)
+        self.pair_stiffness = wp.zeros(capacity, dtype=wp.float32, device=self._device)
+        self._pair_force = wp.zeros(capacity, dtype=wp.vec3, device=self._device)
+        self._recorded: dict[float, wp.Graph] = {}  # Recordings keep the arrays that they were made with.
+
     def _dot(self, a: wp.array, b: wp.array) -> None:
-        wp.launch(linear.partial_dot, dim=(self.shape[0], PARTS), inputs=[a, b], outputs=[self._partial], device=self._device)
+        launch = _launcher(self._device)
+        launch(linear.partial_dot, (self.shape[0], PARTS), [a, b], [self._partial])
 
     def _recording(self, tolerance: float) -> wp.Graph:
         """A chunk of iterations, recorded once a tolerance: replaying costs a fraction of launching."""
@@ -177,7 +225,8 @@ class BlockSystem:
         worlds = self.shape[0]
         self.multiply(self._direction, self._product)
         self._dot(self._direction, self._product)
-        launch(linear.step_length, worlds, [self._partial, self._energy, self._active], [self._alpha])
+        scalars = [self._partial, self._energy, self._iterations, self._active]
+        launch(linear.step_length, worlds, scalars, [self._alpha])
         launch(
             linear.advance,
             self.shape,
@@ -201,8 +250,8 @@ class BlockSystem:
         launch(linear.turn_direction, self.shape, [self._beta, self._preconditioned, self._direction], [])
 
 
-def _launcher(device: wp.Device) -> Callable[[wp.Kernel, object, list, list], None]:
-    def launch(kernel: wp.Kernel, dim: object, inputs: list, outputs: list) -> None:
+def _launcher(device: wp.Device) -> Callable[[Any, Any, list, list], None]:
+    def launch(kernel: Any, dim: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device)
 
     return launch

@@ -39,17 +39,24 @@ class Evaluator(ABC):
     clamped: Mapping[str, NDArray[np.float64]]
 
     @abstractmethod
-    def evaluate(self, pose: Pose, out: wp.array, strength: Mapping[str, float] | float = 1.0) -> None:
-        """Write the garment's positions in rig space [m].
+    def evaluate(
+        self,
+        pose: Pose,
+        out: wp.array,
+        strength: Mapping[str, float] | float = 1.0,
+        placement: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Write the garment's positions.
 
         Args:
             pose: Bone matrices of the rig that the method was made for.
             out: Array of vec3 on the evaluator's device, shape [vertex_count].
             strength: Of the wrinkles, in all or by joint; 0 is plain skinning, 1 as simulated.
+            placement: Affine matrix from rig space [m] to the space asked for, shape [4, 4]; rig space if left out.
         """
 
     def positions(self, pose: Pose, strength: Mapping[str, float] | float = 1.0) -> NDArray[np.float32]:
-        """:meth:`evaluate` into a new NumPy array, shape [vertex_count, 3]."""
+        """:meth:`evaluate` in rig space [m], into a new NumPy array of shape [vertex_count, 3]."""
         out = wp.zeros(self.vertex_count, dtype=wp.vec3, device=self.device)
         self.evaluate(pose, out, strength)
         return out.numpy()

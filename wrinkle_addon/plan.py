@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from .rig import FloatArray, Joint
-from .symmetry import Mirror
+from .symmetry import Mirror, other_side
 
 HINGE_STEP = np.radians(15.0)
 BALL_STEP = np.radians(30.0)
@@ -221,8 +221,8 @@ def _paper_grid(joint: Joint) -> JointGrid:
 def budget_plan(joints: Sequence[Joint], simulated: int, mirror: Mirror | None = None) -> SamplePlan:
     """The finest plan that simulates no more than ``simulated`` samples.
 
-    Starts with the ends of every range and halves, over and over, the widest gap there is, as long as the budget
-    holds; a ball's gap weighs less, because it costs a whole slab of samples.
+    Starts with the ends of every range and narrows, over and over, the widest gap there is, as long as the budget
+    holds. A side of a range too small to matter has no sample; the garment simply follows its skin there.
 
     Raises:
         ValueError: If even the ends of the ranges need more samples.
@@ -247,6 +247,7 @@ def budget_plan(joints: Sequence[Joint], simulated: int, mirror: Mirror | None =
             f"Even the ends of all ranges need {len(current.simulated)} samples, more than the {simulated} allowed; "
             "leave out a joint or allow more."
         )
+    names = {joint.name for joint in joints}
     frozen: set[tuple[str, int, int]] = set()
     while True:
         gaps = {
@@ -259,14 +260,16 @@ def budget_plan(joints: Sequence[Joint], simulated: int, mirror: Mirror | None =
         if not gaps:
             return current
         name, axis, side = max(gaps, key=lambda key: gaps[key])
-        pair = [name] if mirror is None or mirror.joints[name] == name else [name, mirror.joints[name]]
-        before = {key: [list(counts) for counts in intervals[key]] for key in pair}
-        for key in pair:
-            mirrored_side = side if key == name or mirror is None or mirror.signs[name][axis] > 0 else 1 - side
-            intervals[key][axis][mirrored_side] += 1
+        # Both sides of the body get the same grid, so that their samples can be each other's images.
+        other = partner if (partner := other_side(name)) in names else name
+        flips = mirror is not None and mirror.signs[name][axis] < 0
+        together = {(name, axis, side), (other, axis, 1 - side if flips else side)} & {*gaps}
+        for joint_name, k, end in together:
+            intervals[joint_name][k][end] += 1
         refined = plan()
-        if len(refined.simulated) > simulated:
-            intervals.update(before)
-            frozen |= {(key, axis, side) for key in pair} | {(name, axis, side)}
-        else:
+        if len(refined.simulated) <= simulated:
             current = refined
+            continue
+        for joint_name, k, end in together:
+            intervals[joint_name][k][end] -= 1
+        frozen |= together

@@ -50,7 +50,7 @@ def make_folder(path: Path) -> None:
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
-        probe = _temporary_name(path / "probe")
+        probe = temporary_name(path / "probe")
         probe.touch()
         probe.unlink()
     except OSError as error:
@@ -63,7 +63,7 @@ def write_bytes(path: Path, data: bytes) -> None:
     Raises:
         StorageError: If the disk is full or the folder cannot be written to; nothing is left behind.
     """
-    temporary = _temporary_name(path)
+    temporary = temporary_name(path)
     try:
         try:
             with open(temporary, "xb") as stream:
@@ -130,7 +130,7 @@ def read_arrays(path: Path) -> tuple[dict[str, NDArray[Any]], Any]:
     return arrays, metadata
 
 
-def _temporary_name(path: Path) -> Path:
+def temporary_name(path: Path) -> Path:
     """A name in the same folder that no other process on any host will take."""
     return path.with_name(f".{path.name}.{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(4)}.tmp")
 

@@ -11,7 +11,7 @@ from .bending import bending_gradient
 from .contact import PLANES, contact_curvature, contact_energy, contact_force
 from .friction import friction_energy, friction_hessian, friction_slope, tangential
 from .membrane import mat32d, membrane_gradient, membrane_hessian, shape_gradient, tensile_part
-from .self_contact import SLOTS, slot_separation
+from .self_contact import pair_separation
 
 wp.set_module_options({"enable_backward": False})
 
@@ -38,7 +38,8 @@ class Garment:
 class Contact:
     """Frozen contact state of one linearisation.
 
-    Arrays are [world_count, vertex_count], with vertex_count * PLANES or * SLOTS for planes and slots.
+    Planes of the body are [world_count, vertex_count * PLANES], each with its own friction. Pairs of the garment with
+    itself lie in one list for all worlds; the lists by vertex have the entry world * vertex_count + vertex.
     """
 
     thickness: wp.float64
@@ -52,25 +53,30 @@ class Contact:
     friction_bound: wp.array2d[wp.float64]
     self_thickness: wp.float64
     self_pressure: wp.float64
-    slot_count: wp.array2d[wp.int32]
-    slot_triangle: wp.array2d[wp.int32]
-    slot_weights: wp.array2d[wp.vec3]
-    slot_normal: wp.array2d[wp.vec3]
+    pair_start: wp.array[wp.int32]
+    pair_count: wp.array[wp.int32]
+    pair_triangle: wp.array[wp.int32]
+    pair_weights: wp.array[wp.vec3]
+    pair_normal: wp.array[wp.vec3]
     incident_start: wp.array[wp.int32]
     incident_count: wp.array[wp.int32]
     incident: wp.array[wp.int32]
 
 
 @wp.func
-def slot_force(
-    positions: wp.array2d[wp.vec3d], garment: Garment, contact: Contact, world: wp.int32, vertex: wp.int32, slot: wp.int32
-) -> wp.vec3d:
-    """Force of one self-contact on its vertex [N]; its triangle takes the opposite."""
-    face = contact.slot_triangle[world, slot]
-    separation = slot_separation(positions, garment.faces, world, vertex, face, contact.slot_weights[world, slot])
-    n = wp.vec3d(contact.slot_normal[world, slot])
-    strength = contact.self_pressure * garment.area[vertex]
-    return n * contact_force(wp.dot(separation, n), contact.self_thickness, strength, contact.self_thickness)
+def pair_gap(
+    positions: wp.array2d[wp.vec3d],
+    garment: Garment,
+    contact: Contact,
+    world: wp.int32,
+    vertex: wp.int32,
+    pair: wp.int32,
+) -> wp.float64:
+    """Distance [m] of a pair's vertex from its plane, which the triangle carries along."""
+    separation = pair_separation(
+        positions, garment.faces, world, vertex, contact.pair_triangle[pair], contact.pair_weights[pair]
+    )
+    return wp.dot(separation, wp.vec3d(contact.pair_normal[pair]))
 
 
 @wp.kernel
@@ -111,55 +117,45 @@ def vertex_energies(
         if contact.face[world, plane] >= 0:
             gap = wp.dot(x - contact.point[world, plane], contact.normal[world, plane])
             total += contact_energy(gap, contact.thickness, strength, contact.depth)
-    bound = contact.friction_bound[world, vertex]
-    if bound > wp.float64(0.0):
-        drift = tangential(x - contact.anchor[world, vertex], contact.normal[world, vertex * PLANES])
-        total += friction_energy(wp.length(drift), bound, contact.slip)
+            drift = tangential(x - contact.anchor[world, plane], contact.normal[world, plane])
+            total += friction_energy(wp.length(drift), contact.friction_bound[world, plane], contact.slip)
     self_strength = contact.self_pressure * garment.area[vertex]
-    for k in range(contact.slot_count[world, vertex]):
-        slot = vertex * SLOTS + k
-        separation = slot_separation(
-            positions,
-            garment.faces,
-            world,
-            vertex,
-            contact.slot_triangle[world, slot],
-            contact.slot_weights[world, slot],
-        )
-        gap = wp.dot(separation, wp.vec3d(contact.slot_normal[world, slot]))
+    owner = world * positions.shape[1] + vertex
+    for pair in range(contact.pair_start[owner], contact.pair_start[owner] + contact.pair_count[owner]):
+        gap = pair_gap(positions, garment, contact, world, vertex, pair)
         total += contact_energy(gap, contact.self_thickness, self_strength, contact.self_thickness)
     energy[world, vertex] = total
 
 
 @wp.kernel
-def slot_forces(
+def pair_forces(
     positions: wp.array2d[wp.vec3d],
     garment: Garment,
     contact: Contact,
     # outputs
-    force: wp.array2d[wp.vec3],
+    force: wp.array[wp.vec3],
 ):
-    """Force of every self-contact on its vertex [N]."""
+    """Force of every pair on its vertex [N]; its triangle takes the opposite."""
     world, vertex = wp.tid()
-    for k in range(contact.slot_count[world, vertex]):
-        slot = vertex * SLOTS + k
-        force[world, slot] = wp.vec3(slot_force(positions, garment, contact, world, vertex, slot))
+    owner = world * positions.shape[1] + vertex
+    strength = contact.self_pressure * garment.area[vertex]
+    for pair in range(contact.pair_start[owner], contact.pair_start[owner] + contact.pair_count[owner]):
+        gap = pair_gap(positions, garment, contact, world, vertex, pair)
+        push = contact_force(gap, contact.self_thickness, strength, contact.self_thickness)
+        force[pair] = wp.float32(push) * contact.pair_normal[pair]
 
 
 @wp.func
-def gather_slots(
-    force: wp.array2d[wp.vec3], contact: Contact, vertex_count: wp.int32, world: wp.int32, vertex: wp.int32
-) -> wp.vec3:
-    """Sum of a per-slot vector on one vertex: its own slots, minus its share as a corner of others' triangles."""
+def gather_pairs(force: wp.array[wp.vec3], contact: Contact, owner: wp.int32) -> wp.vec3:
+    """Sum of a per-pair vector on one vertex: its own pairs, minus its share as a corner of others' triangles."""
     total = wp.vec3()
-    for k in range(contact.slot_count[world, vertex]):
-        total += force[world, vertex * SLOTS + k]
-    owner = world * vertex_count + vertex
+    start = contact.pair_start[owner]
+    for pair in range(start, start + contact.pair_count[owner]):
+        total += force[pair]
     start = contact.incident_start[owner]
     for k in range(start, start + contact.incident_count[owner]):
-        slot = contact.incident[k] // 3
-        w = contact.slot_weights[world, slot]
-        total -= w[contact.incident[k] % 3] * force[world, slot]
+        pair = contact.incident[k] // 3
+        total -= contact.pair_weights[pair][contact.incident[k] % 3] * force[pair]
     return total
 
 
@@ -174,11 +170,11 @@ def gradient(
     pin_target: wp.array2d[wp.vec3d],
     deformation: wp.array2d[mat32d],
     stress: wp.array2d[wp.vec3d],
-    force: wp.array2d[wp.vec3],
+    pair_force: wp.array[wp.vec3],
     # outputs
     result: wp.array2d[wp.vec3d],
 ):
-    """Derivative of the total energy by every vertex [N]; ``force`` comes from :func:`slot_forces`."""
+    """Derivative of the total energy by every vertex [N]; ``pair_force`` comes from :func:`pair_forces`."""
     world, vertex = wp.tid()
     x = positions[world, vertex]
     mass = garment.mass[vertex]
@@ -200,11 +196,9 @@ def gradient(
             n = contact.normal[world, plane]
             gap = wp.dot(x - contact.point[world, plane], n)
             total -= n * contact_force(gap, contact.thickness, strength, contact.depth)
-    bound = contact.friction_bound[world, vertex]
-    if bound > wp.float64(0.0):
-        drift = tangential(x - contact.anchor[world, vertex], contact.normal[world, vertex * PLANES])
-        total += friction_slope(wp.length(drift), bound, contact.slip) * drift
-    total -= wp.vec3d(gather_slots(force, contact, contact.slot_count.shape[1], world, vertex))
+            drift = tangential(x - contact.anchor[world, plane], n)
+            total += friction_slope(wp.length(drift), contact.friction_bound[world, plane], contact.slip) * drift
+    total -= wp.vec3d(gather_pairs(pair_force, contact, world * positions.shape[1] + vertex))
     result[world, vertex] = total
 
 
@@ -213,7 +207,7 @@ def assemble_blocks(
     garment: Garment,
     deformation: wp.array2d[mat32d],
     stress: wp.array2d[wp.vec3d],
-    exact: wp.bool,
+    kept: wp.array[wp.float64],
     contribution_start: wp.array[wp.int32],
     contributions: wp.array[wp.int32],
     block_bending: wp.array[wp.float64],
@@ -222,7 +216,7 @@ def assemble_blocks(
 ):
     """Membrane and bending Hessian on the one-ring [N/m]; contributions are triangle * 9 + row * 3 + column.
 
-    ``exact`` keeps compressive stress, for derivatives at equilibrium; Newton's method leaves it out.
+    ``kept`` is the share of compressive stress that counts: 1 for the exact Hessian, 0 for a positive definite one.
     """
     world, entry = wp.tid()
     total = block_bending[entry] * wp.identity(n=3, dtype=wp.float64)
@@ -231,9 +225,8 @@ def assemble_blocks(
         triangle = code // 9
         gi = shape_gradient(garment.rest_inverse[triangle], (code // 3) % 3)
         gj = shape_gradient(garment.rest_inverse[triangle], code % 3)
-        s = stress[world, triangle]
-        if not exact:
-            s = tensile_part(s)
+        tension = tensile_part(stress[world, triangle])
+        s = tension + kept[world] * (stress[world, triangle] - tension)
         total += garment.rest_area[triangle] * membrane_hessian(
             deformation[world, triangle], s, garment.stiffness, gi, gj
         )
@@ -250,13 +243,14 @@ def assemble_diagonal(
     # in and out
     blocks: wp.array2d[wp.mat33],
     # outputs
-    slot_stiffness: wp.array2d[wp.float32],
+    pair_stiffness: wp.array[wp.float32],
 ):
-    """Add inertia, pins, contact and friction to the diagonal blocks, and find each self-contact's stiffness [N/m]."""
+    """Add inertia, pins, contact and friction to the diagonal blocks, and find the stiffness of each pair [N/m]."""
     world, vertex = wp.tid()
-    identity = wp.identity(n=3, dtype=wp.float64)
     x = positions[world, vertex]
-    total = (garment.mass[vertex] * inverse_dt2[world] + garment.pin_stiffness[vertex]) * identity
+    total = (garment.mass[vertex] * inverse_dt2[world] + garment.pin_stiffness[vertex]) * wp.identity(
+        n=3, dtype=wp.float64
+    )
     strength = contact.pressure * garment.area[vertex]
     for k in range(PLANES):
         plane = vertex * PLANES + k
@@ -264,49 +258,60 @@ def assemble_diagonal(
             n = contact.normal[world, plane]
             gap = wp.dot(x - contact.point[world, plane], n)
             total += contact_curvature(gap, contact.thickness, strength, contact.depth) * wp.outer(n, n)
-    bound = contact.friction_bound[world, vertex]
-    if bound > wp.float64(0.0):
-        n = contact.normal[world, vertex * PLANES]
-        drift = tangential(x - contact.anchor[world, vertex], n)
-        total += friction_hessian(drift, n, bound, contact.slip)
+            drift = tangential(x - contact.anchor[world, plane], n)
+            total += friction_hessian(drift, n, contact.friction_bound[world, plane], contact.slip)
     self_strength = contact.self_pressure * garment.area[vertex]
-    for k in range(contact.slot_count[world, vertex]):
-        slot = vertex * SLOTS + k
-        separation = slot_separation(
-            positions,
-            garment.faces,
-            world,
-            vertex,
-            contact.slot_triangle[world, slot],
-            contact.slot_weights[world, slot],
+    owner = world * positions.shape[1] + vertex
+    for pair in range(contact.pair_start[owner], contact.pair_start[owner] + contact.pair_count[owner]):
+        gap = pair_gap(positions, garment, contact, world, vertex, pair)
+        pair_stiffness[pair] = wp.float32(
+            contact_curvature(gap, contact.self_thickness, self_strength, contact.self_thickness)
         )
-        gap = wp.dot(separation, wp.vec3d(contact.slot_normal[world, slot]))
-        slot_stiffness[world, slot] = wp.float32(contact_curvature(gap, contact.self_thickness, self_strength, contact.self_thickness))
     entry = diagonal_entry[vertex]
     blocks[world, entry] = blocks[world, entry] + wp.mat33(total)
 
 
+@wp.func
+def compression(garment: Garment, stress: wp.array2d[wp.vec3d], world: wp.int32, vertex: wp.int32) -> wp.float64:
+    """What the compressive stress takes from the vertex's own block, the same along every axis [N/m]."""
+    total = wp.float64(0.0)
+    for k in range(garment.corner_start[vertex], garment.corner_start[vertex + 1]):
+        triangle = garment.corners[k] // 3
+        g = shape_gradient(garment.rest_inverse[triangle], garment.corners[k] % 3)
+        s = tensile_part(stress[world, triangle]) - stress[world, triangle]
+        total += garment.rest_area[triangle] * (g[0] * (s[0] * g[0] + s[2] * g[1]) + g[1] * (s[2] * g[0] + s[1] * g[1]))
+    return total
+
+
 @wp.kernel
 def precondition_diagonal(
+    garment: Garment,
     contact: Contact,
-    slot_stiffness: wp.array2d[wp.float32],
+    stress: wp.array2d[wp.vec3d],
+    kept: wp.array[wp.float64],
+    pair_stiffness: wp.array[wp.float32],
     diagonal_entry: wp.array[wp.int32],
     blocks: wp.array2d[wp.mat33],
     # outputs
     inverse: wp.array2d[wp.mat33],
 ):
-    """Inverse of each vertex's own block, self-contacts included [m/N]: the block Jacobi preconditioner."""
+    """Inverse of each vertex's own block, pairs included [m/N]: the block Jacobi preconditioner.
+
+    Positive definite also for the exact Hessian: what compression took from it is put back.
+    """
     world, vertex = wp.tid()
     total = blocks[world, diagonal_entry[vertex]]
-    for k in range(contact.slot_count[world, vertex]):
-        slot = vertex * SLOTS + k
-        n = contact.slot_normal[world, slot]
-        total += slot_stiffness[world, slot] * wp.outer(n, n)
-    owner = world * contact.slot_count.shape[1] + vertex
+    if kept[world] > wp.float64(0.0):
+        lost = kept[world] * compression(garment, stress, world, vertex)
+        total += wp.float32(lost) * wp.identity(n=3, dtype=wp.float32)
+    owner = world * inverse.shape[1] + vertex
+    for pair in range(contact.pair_start[owner], contact.pair_start[owner] + contact.pair_count[owner]):
+        n = contact.pair_normal[pair]
+        total += pair_stiffness[pair] * wp.outer(n, n)
     start = contact.incident_start[owner]
     for k in range(start, start + contact.incident_count[owner]):
-        slot = contact.incident[k] // 3
-        w = contact.slot_weights[world, slot][contact.incident[k] % 3]
-        n = contact.slot_normal[world, slot]
-        total += (w * w * slot_stiffness[world, slot]) * wp.outer(n, n)
+        pair = contact.incident[k] // 3
+        w = contact.pair_weights[pair][contact.incident[k] % 3]
+        n = contact.pair_normal[pair]
+        total += (w * w * pair_stiffness[pair]) * wp.outer(n, n)
     inverse[world, vertex] = wp.inverse(total)

@@ -30,7 +30,7 @@ def contact_energy(gap: wp.float64, thickness: wp.float64, strength: wp.float64,
     scale = strength / (thickness * thickness)
     if press <= limit:
         return scale * press * press * press / wp.float64(3.0)
-    return scale * limit * limit * (press - limit * wp.float64(2.0 / 3.0))
+    return scale * limit * limit * (press - wp.float64(2.0) * limit / wp.float64(3.0))
 
 
 @wp.func
@@ -84,7 +84,9 @@ def closest_point_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) ->
 
 
 @wp.func
-def triangle_point(points: wp.array2d[wp.vec3], faces: wp.array2d[wp.int32], world: wp.int32, face: wp.int32, w: wp.vec3):
+def triangle_point(
+    points: wp.array2d[wp.vec3], faces: wp.array2d[wp.int32], world: wp.int32, face: wp.int32, w: wp.vec3
+) -> wp.vec3:
     """Point at barycentric coordinates w of a triangle."""
     return (
         points[world, faces[face, 0]] * w[0]
@@ -94,7 +96,9 @@ def triangle_point(points: wp.array2d[wp.vec3], faces: wp.array2d[wp.int32], wor
 
 
 @wp.func
-def face_direction(points: wp.array2d[wp.vec3], faces: wp.array2d[wp.int32], world: wp.int32, face: wp.int32) -> wp.vec3:
+def face_direction(
+    points: wp.array2d[wp.vec3], faces: wp.array2d[wp.int32], world: wp.int32, face: wp.int32
+) -> wp.vec3:
     """Unit normal of a triangle."""
     a = points[world, faces[face, 0]]
     return wp.normalize(wp.cross(points[world, faces[face, 1]] - a, points[world, faces[face, 2]] - a))
@@ -175,6 +179,7 @@ def find_body_contacts(
     body_faces: wp.array2d[wp.int32],
     body_normals: wp.array2d[wp.vec3],
     radius: wp.float32,
+    thickness: wp.float32,
     fold_radius: wp.float32,
     least_cosine: wp.float32,
     # outputs
@@ -186,7 +191,8 @@ def find_body_contacts(
     """Contact planes of every vertex: closest body point [m] and outward unit normal; face -1 where there is none.
 
     The first plane is the closest within ``radius`` [m]; a second, within ``fold_radius``, belongs to a surface that
-    faces the first one across a fold of the body. Planes of a vertex are entries vertex * PLANES + k.
+    faces the first one across a fold of the body, and is looked for where the first is nearer than two thicknesses.
+    Planes of a vertex are entries vertex * PLANES + k.
     """
     world, vertex = wp.tid()
     p = wp.vec3(positions[world, vertex])
@@ -213,7 +219,8 @@ def find_body_contacts(
     weights[world, first] = w
     point[world, first] = wp.vec3d(closest)
     normal[world, first] = wp.normalize(wp.vec3d(direction))
-    if wp.length(p - closest) > fold_radius:
+    # Outside and off this surface, a vertex is off every other one too.
+    if wp.dot(p - closest, direction) > 2.0 * thickness or wp.length(p - closest) > fold_radius:
         return
     best = wp.int32(-1)
     best_distance = fold_radius
@@ -231,8 +238,10 @@ def find_body_contacts(
             )
             other = triangle_point(body_points, body_faces, world, candidate, v)
             distance = wp.length(p - other)
-            # The first surface must lie in front of the second, or they meet in a ridge or cut into each other.
-            if distance < best_distance and wp.dot(closest - other, facing) > 0.0:
+            # The first surface must lie in front of the second, or they meet in a ridge or cut into each other; and the
+            # vertex must lie over the triangle or under it, not beside it, where in and out mean nothing.
+            over = wp.abs(wp.dot(p - other, facing)) >= FACING_COSINE * distance
+            if distance < best_distance and over and wp.dot(closest - other, facing) > 0.0:
                 turned = contact_normal(p, other, facing)
                 if wp.dot(turned, direction) < FACING_COSINE:
                     best = candidate
@@ -241,73 +250,6 @@ def find_body_contacts(
                     point[world, first + 1] = wp.vec3d(other)
                     normal[world, first + 1] = wp.normalize(wp.vec3d(turned))
     face[world, first + 1] = best
-
-
-@wp.kernel
-def update_anchors(
-    positions: wp.array2d[wp.vec3d],
-    area: wp.array[wp.float64],
-    body_points: wp.array2d[wp.vec3],
-    body_faces: wp.array2d[wp.int32],
-    face: wp.array2d[wp.int32],
-    weights: wp.array2d[wp.vec3],
-    point: wp.array2d[wp.vec3d],
-    normal: wp.array2d[wp.vec3d],
-    thickness: wp.float64,
-    pressure: wp.float64,
-    depth: wp.float64,
-    friction: wp.float64,
-    slip: wp.float64,
-    # in and out
-    anchor_face: wp.array2d[wp.int32],
-    anchor_weights: wp.array2d[wp.vec3],
-    # outputs
-    anchor_point: wp.array2d[wp.vec3d],
-    friction_bound: wp.array2d[wp.float64],
-):
-    """Place each touching vertex's friction anchor [m] on its first plane and freeze its bound mu f_n [N].
-
-    New contacts stick where they are. An anchor that a slipping vertex has left behind follows it until the spring
-    holds exactly the bound; it is stored on the body's surface, so that it moves with the body.
-    """
-    world, vertex = wp.tid()
-    anchor_point[world, vertex] = wp.vec3d()
-    friction_bound[world, vertex] = wp.float64(0.0)
-    first = vertex * PLANES
-    if face[world, first] < 0:
-        anchor_face[world, vertex] = -1
-        return
-    x = positions[world, vertex]
-    c = point[world, first]
-    n = normal[world, first]
-    bound = friction * contact_force(wp.dot(x - c, n), thickness, pressure * area[vertex], depth)
-    if bound <= wp.float64(0.0):
-        anchor_face[world, vertex] = -1
-        return
-    anchor = c
-    if anchor_face[world, vertex] < 0:
-        anchor_face[world, vertex] = face[world, first]
-        anchor_weights[world, vertex] = weights[world, first]
-    else:
-        held = triangle_point(body_points, body_faces, world, anchor_face[world, vertex], anchor_weights[world, vertex])
-        anchor = wp.vec3d(held)
-        drift = x - anchor
-        drift = drift - n * wp.dot(drift, n)
-        length = wp.length(drift)
-        if length > slip:
-            # Walk from the contact point back towards the old anchor, on the plane of the contact triangle; the
-            # weights may leave the triangle by a little, which is still a point that moves with the body.
-            anchor = c - drift * (slip / length)
-            found = face[world, first]
-            anchor_face[world, vertex] = found
-            anchor_weights[world, vertex] = plane_weights(
-                wp.vec3(anchor),
-                body_points[world, body_faces[found, 0]],
-                body_points[world, body_faces[found, 1]],
-                body_points[world, body_faces[found, 2]],
-            )
-    anchor_point[world, vertex] = anchor
-    friction_bound[world, vertex] = bound
 
 
 @wp.func
@@ -327,6 +269,109 @@ def plane_weights(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
     s = (vv * wu - uv * wv) / determinant
     t = (uu * wv - uv * wu) / determinant
     return wp.vec3(1.0 - s - t, s, t)
+
+
+@wp.func
+def anchor_alignment(
+    body_points: wp.array2d[wp.vec3],
+    body_faces: wp.array2d[wp.int32],
+    world: wp.int32,
+    anchor_face: wp.int32,
+    plane_face: wp.int32,
+    normal: wp.vec3d,
+) -> wp.float32:
+    """How well an anchor's triangle faces along a plane's normal; 0 where one of them is missing."""
+    if anchor_face < 0 or plane_face < 0:
+        return wp.float32(0.0)
+    return wp.dot(face_direction(body_points, body_faces, world, anchor_face), wp.vec3(normal))
+
+
+@wp.kernel
+def update_anchors(
+    positions: wp.array2d[wp.vec3d],
+    area: wp.array[wp.float64],
+    body_points: wp.array2d[wp.vec3],
+    body_faces: wp.array2d[wp.int32],
+    face: wp.array2d[wp.int32],
+    weights: wp.array2d[wp.vec3],
+    point: wp.array2d[wp.vec3d],
+    normal: wp.array2d[wp.vec3d],
+    thickness: wp.float64,
+    pressure: wp.float64,
+    depth: wp.float64,
+    friction: wp.float64,
+    slip: wp.float64,
+    following: wp.array[wp.int32],
+    # in and out
+    anchor_face: wp.array2d[wp.int32],
+    anchor_weights: wp.array2d[wp.vec3],
+    # outputs
+    anchor_point: wp.array2d[wp.vec3d],
+    friction_bound: wp.array2d[wp.float64],
+):
+    """Place the friction anchor [m] of each touched plane and freeze its bound mu f_n [N].
+
+    New contacts stick where they are. In worlds that are ``following``, an anchor that a slipping vertex has left
+    behind follows it until the spring holds exactly the bound; it is stored on the body's surface, so that it moves
+    with the body. In the other worlds anchors are read and not written.
+    """
+    world, vertex = wp.tid()
+    first = vertex * PLANES
+    # A vertex in a fold has two planes, which change places as it moves; anchors stay with their surface.
+    straight = wp.float32(0.0)
+    crossed = wp.float32(0.0)
+    for k in range(PLANES):
+        held = anchor_face[world, first + k]
+        straight += anchor_alignment(
+            body_points, body_faces, world, held, face[world, first + k], normal[world, first + k]
+        )
+        crossed += anchor_alignment(
+            body_points, body_faces, world, held, face[world, first + 1 - k], normal[world, first + 1 - k]
+        )
+    turn = wp.where(crossed > straight, 1, 0)
+    old_face = wp.vec2i(anchor_face[world, first + turn], anchor_face[world, first + 1 - turn])
+    old_weights = wp.matrix_from_rows(anchor_weights[world, first + turn], anchor_weights[world, first + 1 - turn])
+    x = positions[world, vertex]
+    for k in range(PLANES):
+        plane = first + k
+        bound = wp.float64(0.0)
+        if face[world, plane] >= 0:
+            gap = wp.dot(x - point[world, plane], normal[world, plane])
+            bound = friction * contact_force(gap, thickness, pressure * area[vertex], depth)
+        held_face = wp.int32(-1)
+        held_weights = wp.vec3()
+        anchor = wp.vec3d()
+        if bound > wp.float64(0.0):
+            c = point[world, plane]
+            n = normal[world, plane]
+            found = face[world, plane]
+            held_face = old_face[k]
+            held_weights = old_weights[k]
+            anchor = c
+            if held_face < 0:
+                held_face = found
+                held_weights = weights[world, plane]
+            else:
+                anchor = wp.vec3d(triangle_point(body_points, body_faces, world, held_face, held_weights))
+                drift = x - anchor
+                drift = drift - n * wp.dot(drift, n)
+                length = wp.length(drift)
+                if following[world] != 0 and length > slip:
+                    # Walk from the contact point back towards the old anchor, on the plane of the contact triangle;
+                    # the weights may leave the triangle by a little, which is still a point that moves with the body.
+                    anchor = c - drift * (slip / length)
+                    held_face = found
+                    held_weights = plane_weights(
+                        wp.vec3(anchor),
+                        body_points[world, body_faces[found, 0]],
+                        body_points[world, body_faces[found, 1]],
+                        body_points[world, body_faces[found, 2]],
+                    )
+        anchor_point[world, plane] = anchor
+        friction_bound[world, plane] = bound
+        if following[world] != 0:
+            anchor_face[world, plane] = held_face
+            anchor_weights[world, plane] = held_weights
 
 
 @wp.kernel

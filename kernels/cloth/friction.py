@@ -15,6 +15,9 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
+# Anchors are stored in float32, which is good to a few parts in ten thousand of a slip length.
+STUCK_SHARE = wp.constant(wp.float64(0.999))
+
 
 @wp.func
 def friction_energy(length: wp.float64, bound: wp.float64, slip: wp.float64) -> wp.float64:
@@ -33,10 +36,13 @@ def friction_slope(length: wp.float64, bound: wp.float64, slip: wp.float64) -> w
 
 @wp.func
 def friction_hessian(drift: wp.vec3d, normal: wp.vec3d, bound: wp.float64, slip: wp.float64) -> wp.mat33d:
-    """Second derivative by the vertex [N/m]; while slipping, nothing resists along the way of sliding."""
+    """Second derivative by the vertex [N/m]; while slipping, nothing resists along the way of sliding.
+
+    A spring at its bound counts as slipping: that is where anchors that follow keep it.
+    """
     tangent = wp.identity(n=3, dtype=wp.float64) - wp.outer(normal, normal)
     length = wp.length(drift)
-    if length <= slip:
+    if length <= STUCK_SHARE * slip:
         return (bound / slip) * tangent
     along = drift / length
     return (bound / length) * (tangent - wp.outer(along, along))

@@ -6,35 +6,34 @@ on the device: a number of iterations can be recorded once and replayed.
 
 import warp as wp
 
-from .assembly import Contact, gather_slots
-from .self_contact import SLOTS
+from .assembly import Contact, gather_pairs
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def slot_products(
+def pair_products(
     direction: wp.array2d[wp.vec3],
     faces: wp.array2d[wp.int32],
     contact: Contact,
-    slot_stiffness: wp.array2d[wp.float32],
+    pair_stiffness: wp.array[wp.float32],
     # outputs
-    force: wp.array2d[wp.vec3],
+    force: wp.array[wp.vec3],
 ):
-    """Stiffness of every self-contact times the direction [N]."""
+    """Stiffness of every pair times the direction [N]."""
     world, vertex = wp.tid()
-    for k in range(contact.slot_count[world, vertex]):
-        slot = vertex * SLOTS + k
-        face = contact.slot_triangle[world, slot]
-        w = contact.slot_weights[world, slot]
-        n = contact.slot_normal[world, slot]
+    owner = world * direction.shape[1] + vertex
+    for pair in range(contact.pair_start[owner], contact.pair_start[owner] + contact.pair_count[owner]):
+        face = contact.pair_triangle[pair]
+        w = contact.pair_weights[pair]
+        n = contact.pair_normal[pair]
         relative = (
             direction[world, vertex]
             - w[0] * direction[world, faces[face, 0]]
             - w[1] * direction[world, faces[face, 1]]
             - w[2] * direction[world, faces[face, 2]]
         )
-        force[world, slot] = n * (slot_stiffness[world, slot] * wp.dot(n, relative))
+        force[pair] = n * (pair_stiffness[pair] * wp.dot(n, relative))
 
 
 @wp.kernel
@@ -47,7 +46,7 @@ def multiply(
     far_columns: wp.array[wp.int32],
     far_coefficients: wp.array[wp.float32],
     contact: Contact,
-    force: wp.array2d[wp.vec3],
+    pair_force: wp.array[wp.vec3],
     # outputs
     product: wp.array2d[wp.vec3],
 ):
@@ -58,7 +57,7 @@ def multiply(
         total += blocks[world, k] * direction[world, columns[k]]
     for k in range(far_start[vertex], far_start[vertex + 1]):
         total += far_coefficients[k] * direction[world, far_columns[k]]
-    product[world, vertex] = total + gather_slots(force, contact, contact.slot_count.shape[1], world, vertex)
+    product[world, vertex] = total + gather_pairs(pair_force, contact, world * direction.shape[1] + vertex)
 
 
 @wp.kernel
@@ -109,29 +108,36 @@ def sum_parts(partial: wp.array2d[wp.float64], world: wp.int32) -> wp.float64:
 @wp.kernel
 def start_scalars(
     partial: wp.array2d[wp.float64],
+    moving: wp.array[wp.int32],
     # outputs
     energy: wp.array[wp.float64],
     first_energy: wp.array[wp.float64],
     active: wp.array[wp.int32],
+    iterations: wp.array[wp.int32],
 ):
-    """r z at the start; a world whose residual is zero is done."""
+    """r z at the start; a world that rests or whose residual is zero is done."""
     world = wp.tid()
     value = sum_parts(partial, world)
     energy[world] = value
     first_energy[world] = value
-    active[world] = wp.where(value > wp.float64(0.0), 1, 0)
+    active[world] = wp.where(value > wp.float64(0.0) and moving[world] != 0, 1, 0)
+    iterations[world] = 0
 
 
 @wp.kernel
 def step_length(
     partial: wp.array2d[wp.float64],
     energy: wp.array[wp.float64],
+    iterations: wp.array[wp.int32],
     # in and out
     active: wp.array[wp.int32],
     # outputs
     alpha: wp.array[wp.float32],
 ):
-    """alpha = r z / p A p; a direction without positive curvature ends the world's iteration."""
+    """alpha = r z / p A p; a direction without positive curvature ends the world's iteration.
+
+    If it is the first one, it is taken as it is: the preconditioned gradient still goes downhill.
+    """
     world = wp.tid()
     alpha[world] = 0.0
     if active[world] != 0:
@@ -139,6 +145,7 @@ def step_length(
         if curvature > wp.float64(0.0):
             alpha[world] = wp.float32(energy[world] / curvature)
         else:
+            alpha[world] = wp.where(iterations[world] == 0, 1.0, 0.0)
             active[world] = 0
 
 

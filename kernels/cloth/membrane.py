@@ -105,9 +105,7 @@ def membrane_hessian(f: mat32d, stress: wp.vec3d, stiffness: wp.vec4d, gi: wp.ve
     xj = u * gj[0]
     yj = v * gj[1]
     sj = u * gj[1] + v * gj[0]
-    geometric = (
-        gi[0] * (stress[0] * gj[0] + stress[2] * gj[1]) + gi[1] * (stress[2] * gj[0] + stress[1] * gj[1])
-    )
+    geometric = gi[0] * (stress[0] * gj[0] + stress[2] * gj[1]) + gi[1] * (stress[2] * gj[0] + stress[1] * gj[1])
     return (
         wp.outer(xi, stiffness[0] * xj + stiffness[1] * yj)
         + wp.outer(yi, stiffness[1] * xj + stiffness[2] * yj)

@@ -1,9 +1,10 @@
 """Contact of the garment with itself: vertex against triangle (W28).
 
-A vertex owns up to ``SLOTS`` contacts. A contact is a frozen plane between the vertex and a point of the triangle,
-on the side where the vertex stands; the thickness is a length of its own, not a share of an edge, and pairs that are
-as close as that in the rest shape are left out. Each contact pushes four vertices; the three of the triangle collect
-their share through a list of incident contacts, in a fixed order, so that sums come out the same to the bit.
+A pair is a frozen plane between a vertex and a point of a triangle, on the side where the vertex stands. Its
+thickness is a length of its own, not a share of an edge. A vertex has a pair with every triangle within reach, so that
+nothing jumps when the nearest one changes; neighbours in the rest shape are left out. Each pair pushes four vertices;
+the three of the triangle collect their share through a list of incident pairs, in a fixed order, so that sums come out
+the same to the bit.
 """
 
 import warp as wp
@@ -12,7 +13,11 @@ from .contact import closest_point_on_triangle, triangle_point
 
 wp.set_module_options({"enable_backward": False})
 
-SLOTS = wp.constant(8)
+# Vertices closer than this many thicknesses in the rest shape never touch: a sheet that folds back on itself at the
+# thickness runs through half a circle first, pi / 2 thicknesses long.
+REST_THICKNESSES = 1.6
+# Pairs are listed out to here, so that a step is held back by what it runs into.
+REACH_THICKNESSES = 1.2
 
 
 @wp.kernel
@@ -22,91 +27,148 @@ def to_single(positions: wp.array2d[wp.vec3d], single: wp.array2d[wp.vec3]):
     single[world, vertex] = wp.vec3(positions[world, vertex])
 
 
+@wp.func
+def pair_weights(
+    points: wp.array2d[wp.vec3],
+    rest_points: wp.array2d[wp.vec3],
+    faces: wp.array2d[wp.int32],
+    world: wp.int32,
+    vertex: wp.int32,
+    face: wp.int32,
+    reach: wp.float32,
+    rest_reach: wp.float32,
+):
+    """Barycentric coordinates of the triangle's closest point, and whether vertex and triangle make a pair."""
+    w = wp.vec3()
+    if faces[face, 0] == vertex or faces[face, 1] == vertex or faces[face, 2] == vertex:
+        return False, w
+    p = points[world, vertex]
+    w = closest_point_on_triangle(
+        p, points[world, faces[face, 0]], points[world, faces[face, 1]], points[world, faces[face, 2]]
+    )
+    distance = wp.length(p - triangle_point(points, faces, world, face, w))
+    # Closer than 0.1 micrometres there is no telling the sides apart.
+    if distance >= reach or distance < 1.0e-7:
+        return False, w
+    rest = rest_points[0, vertex]
+    r = closest_point_on_triangle(
+        rest, rest_points[0, faces[face, 0]], rest_points[0, faces[face, 1]], rest_points[0, faces[face, 2]]
+    )
+    return wp.length(rest - triangle_point(rest_points, faces, 0, face, r)) > rest_reach, w
+
+
 @wp.kernel
-def find_self_contacts(
+def count_pairs(
     points: wp.array2d[wp.vec3],
     rest_points: wp.array2d[wp.vec3],
     faces: wp.array2d[wp.int32],
     meshes: wp.array[wp.uint64],
-    thickness: wp.float32,
+    reach: wp.float32,
+    rest_reach: wp.float32,
     # outputs
-    count: wp.array2d[wp.int32],
-    triangle: wp.array2d[wp.int32],
-    weights: wp.array2d[wp.vec3],
-    normal: wp.array2d[wp.vec3],
+    pair_count: wp.array[wp.int32],
 ):
-    """List, for every vertex, the triangles closer than the thickness [m]; slots are vertex * SLOTS + k."""
+    """How many triangles are within ``reach`` [m] of each vertex; entry world * vertex_count + vertex."""
     world, vertex = wp.tid()
     p = points[world, vertex]
-    rest = rest_points[0, vertex]
-    reach = wp.vec3(thickness, thickness, thickness)
-    query = wp.mesh_query_aabb(meshes[world], p - reach, p + reach)
+    box = wp.vec3(reach, reach, reach)
+    query = wp.mesh_query_aabb(meshes[world], p - box, p + box)
     candidate = wp.int32(0)
     found = wp.int32(0)
     while wp.mesh_query_aabb_next(query, candidate):
-        i = faces[candidate, 0]
-        j = faces[candidate, 1]
-        k = faces[candidate, 2]
-        if i != vertex and j != vertex and k != vertex and found < SLOTS:
-            w = closest_point_on_triangle(p, points[world, i], points[world, j], points[world, k])
-            away = p - triangle_point(points, faces, world, candidate, w)
-            distance = wp.length(away)
-            if distance < thickness and distance > 1.0e-7:
-                r = closest_point_on_triangle(rest, rest_points[0, i], rest_points[0, j], rest_points[0, k])
-                apart = wp.length(rest - triangle_point(rest_points, faces, 0, candidate, r))
-                if apart > thickness:
-                    slot = vertex * SLOTS + found
-                    triangle[world, slot] = candidate
-                    weights[world, slot] = w
-                    normal[world, slot] = away / distance
-                    found += 1
-    count[world, vertex] = found
+        near, _w = pair_weights(points, rest_points, faces, world, vertex, candidate, reach, rest_reach)
+        if near:
+            found += 1
+    pair_count[world * points.shape[1] + vertex] = found
+
+
+@wp.kernel
+def fill_pairs(
+    points: wp.array2d[wp.vec3],
+    rest_points: wp.array2d[wp.vec3],
+    faces: wp.array2d[wp.int32],
+    meshes: wp.array[wp.uint64],
+    reach: wp.float32,
+    rest_reach: wp.float32,
+    pair_start: wp.array[wp.int32],
+    pair_count: wp.array[wp.int32],
+    # outputs
+    triangle: wp.array[wp.int32],
+    weights: wp.array[wp.vec3],
+    normal: wp.array[wp.vec3],
+):
+    """Write the pairs that :func:`count_pairs` counted, each vertex's in ascending order of their triangles."""
+    world, vertex = wp.tid()
+    owner = world * points.shape[1] + vertex
+    if pair_count[owner] == 0:
+        return
+    start = pair_start[owner]
+    p = points[world, vertex]
+    box = wp.vec3(reach, reach, reach)
+    query = wp.mesh_query_aabb(meshes[world], p - box, p + box)
+    candidate = wp.int32(0)
+    end = start
+    while wp.mesh_query_aabb_next(query, candidate):
+        near, w = pair_weights(points, rest_points, faces, world, vertex, candidate, reach, rest_reach)
+        if near:
+            place = end
+            while place > start and triangle[place - 1] > candidate:
+                triangle[place] = triangle[place - 1]
+                weights[place] = weights[place - 1]
+                place -= 1
+            triangle[place] = candidate
+            weights[place] = w
+            end += 1
+    for pair in range(start, end):
+        normal[pair] = wp.normalize(p - triangle_point(points, faces, world, triangle[pair], weights[pair]))
 
 
 @wp.kernel
 def count_incident(
     faces: wp.array2d[wp.int32],
-    count: wp.array2d[wp.int32],
-    triangle: wp.array2d[wp.int32],
     vertex_count: wp.int32,
+    pair_start: wp.array[wp.int32],
+    pair_count: wp.array[wp.int32],
+    triangle: wp.array[wp.int32],
     # outputs
-    incident: wp.array[wp.int32],
+    incident_count: wp.array[wp.int32],
 ):
-    """How many contacts press on each vertex as a corner of their triangle; entry world * vertex_count + vertex."""
-    world, vertex = wp.tid()
-    for k in range(count[world, vertex]):
-        face = triangle[world, vertex * SLOTS + k]
+    """How many pairs press on each vertex as a corner of their triangle; entry world * vertex_count + vertex."""
+    owner = wp.tid()
+    first = owner - owner % vertex_count
+    for pair in range(pair_start[owner], pair_start[owner] + pair_count[owner]):
         for corner in range(3):
-            wp.atomic_add(incident, world * vertex_count + faces[face, corner], 1)
+            wp.atomic_add(incident_count, first + faces[triangle[pair], corner], 1)
 
 
 @wp.kernel
 def fill_incident(
     faces: wp.array2d[wp.int32],
-    count: wp.array2d[wp.int32],
-    triangle: wp.array2d[wp.int32],
     vertex_count: wp.int32,
+    pair_start: wp.array[wp.int32],
+    pair_count: wp.array[wp.int32],
+    triangle: wp.array[wp.int32],
     incident_start: wp.array[wp.int32],
     # outputs
-    filled: wp.array[wp.int32],
+    incident_count: wp.array[wp.int32],
     incident: wp.array[wp.int32],
 ):
-    """Write the lists that :func:`count_incident` counted: entries slot * 3 + corner, in any order."""
-    world, vertex = wp.tid()
-    for k in range(count[world, vertex]):
-        slot = vertex * SLOTS + k
+    """Write the lists that :func:`count_incident` counted: entries pair * 3 + corner, in any order."""
+    owner = wp.tid()
+    first = owner - owner % vertex_count
+    for pair in range(pair_start[owner], pair_start[owner] + pair_count[owner]):
         for corner in range(3):
-            owner = world * vertex_count + faces[triangle[world, slot], corner]
-            place = incident_start[owner] + wp.atomic_add(filled, owner, 1)
-            incident[place] = slot * 3 + corner
+            pressed = first + faces[triangle[pair], corner]
+            place = incident_start[pressed] + wp.atomic_add(incident_count, pressed, 1)
+            incident[place] = pair * 3 + corner
 
 
 @wp.kernel
-def sort_incident(incident_start: wp.array[wp.int32], filled: wp.array[wp.int32], incident: wp.array[wp.int32]):
+def sort_incident(incident_start: wp.array[wp.int32], incident_count: wp.array[wp.int32], incident: wp.array[wp.int32]):
     """Sort each vertex's list, so that sums over it have one order."""
     owner = wp.tid()
     start = incident_start[owner]
-    for k in range(start + 1, start + filled[owner]):
+    for k in range(start + 1, start + incident_count[owner]):
         entry = incident[k]
         place = k
         while place > start and incident[place - 1] > entry:
@@ -116,7 +178,7 @@ def sort_incident(incident_start: wp.array[wp.int32], filled: wp.array[wp.int32]
 
 
 @wp.func
-def slot_separation(
+def pair_separation(
     positions: wp.array2d[wp.vec3d],
     faces: wp.array2d[wp.int32],
     world: wp.int32,
@@ -124,7 +186,7 @@ def slot_separation(
     face: wp.int32,
     w: wp.vec3,
 ) -> wp.vec3d:
-    """Vector from the contact's point on the triangle to its vertex [m]."""
+    """Vector from the pair's point on the triangle to its vertex [m]."""
     return (
         positions[world, vertex]
         - wp.float64(w[0]) * positions[world, faces[face, 0]]

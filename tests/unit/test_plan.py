@@ -1,0 +1,132 @@
+"""The sample plan: grids, order, symmetry, shards."""
+
+import numpy as np
+import pytest
+from dolls import doll, grid_of
+from skeletons import human
+from wrinkle_synthesis.wrinkle_addon.joints import find_joints
+from wrinkle_synthesis.wrinkle_addon.plan import (
+    Sample,
+    SamplePlan,
+    budget_plan,
+    counted_angles,
+    paper_plan,
+    spaced_angles,
+)
+from wrinkle_synthesis.wrinkle_addon.symmetry import find_mirror
+
+
+def symmetric_plan(budget: int = 60) -> SamplePlan:
+    character = doll()
+    mirror = find_mirror(character.rig, character.joints, character.garment, character.body)
+    assert mirror is not None
+    return budget_plan(character.joints, budget, mirror)
+
+
+def test_spaced_angles_hold_zero_and_both_ends_and_keep_the_step():
+    for low, high in ((-0.8, 1.8), (0.0, 2.5), (-1.0, 0.0)):
+        angles = np.array(spaced_angles(low, high, np.radians(15)))
+        assert 0.0 in angles and np.isclose(angles[0], low) and np.isclose(angles[-1], high)
+        # Gaps may exceed the step by a tenth of it rather than cost another sample.
+        assert np.diff(angles).max() <= np.radians(15) * 1.1
+
+
+def test_counted_angles_share_the_count_by_the_extent():
+    assert np.allclose(counted_angles(-1.0, 1.0, 3), [-1, 0, 1])
+    assert np.allclose(counted_angles(-1.0, 3.0, 5), [-1, 0, 1, 2, 3])
+    assert len(counted_angles(0.0, 1.0, 3)) == 3 and counted_angles(0.0, 1.0, 3)[0] == 0.0
+    assert len(counted_angles(-1.0, 0.0, 4)) == 4 and counted_angles(-1.0, 0.0, 4)[-1] == 0.0
+
+
+def test_the_papers_plan_has_about_as_many_samples_as_the_paper():
+    """W15-W18: 325 for the upper body and 202 for the lower; spine 3 x 3 x 5."""
+    joints = find_joints(human()).joints
+    upper = [joint for name, joint in joints.items() if joint and name.split("_")[0] in ("elbow", "shoulder", "spine")]
+    lower = [joint for name, joint in joints.items() if joint and name.split("_")[0] in ("knee", "hip")]
+    plan = paper_plan(upper)
+    assert plan.grid["spine"].shape == (3, 3, 5)
+    # The paper does not print its ranges (X03); a fifth more or less is the same order of work.
+    assert 325 * 0.8 < len(plan.samples) + 1 < 325 * 1.2
+    assert 202 * 0.8 < len(paper_plan(lower).samples) + 1 < 202 * 1.2
+
+
+def test_a_sample_comes_after_its_parent_which_is_a_neighbour_nearer_to_rest():
+    plan = paper_plan(doll().joints)
+    seen = set()
+    for sample in plan.samples:
+        parent = plan.parent(sample)
+        if parent is None:
+            assert np.count_nonzero(plan.angles(sample)) == 1
+        else:
+            assert parent in seen
+            steps = np.abs(np.subtract(sample.index, parent.index))
+            assert steps.sum() == 1
+            assert np.abs(plan.angles(parent)).sum() < np.abs(plan.angles(sample)).sum()
+        seen.add(sample)
+    assert len(seen) == len(plan.samples)
+
+
+def test_shards_cut_the_simulated_samples_into_even_parts():
+    plan = symmetric_plan()
+    parts = [plan.shard(number, 7) for number in range(7)]
+    assert [sample for part in parts for sample in part] == list(plan.simulated)
+    assert max(map(len, parts)) - min(map(len, parts)) <= 1
+    with pytest.raises(ValueError, match=r"no shard 7/7"):
+        plan.shard(7, 7)
+
+
+def test_on_a_symmetric_character_one_side_is_simulated_and_the_other_is_its_image():
+    plan = symmetric_plan()
+    assert {sample.joint for sample in plan.simulated} == {"elbow_L", "shoulder_L"}
+    assert len(plan.simulated) * 2 == len(plan.samples)
+    for sample in plan.samples:
+        image = plan.image(sample)
+        if image is not None:
+            assert image in plan.simulated
+            assert plan.mirror is not None
+            assert np.allclose(plan.angles(sample), plan.mirror.signs[image.joint] * plan.angles(image))
+
+
+def test_a_joint_of_the_middle_is_simulated_to_one_side():
+    rig = human()
+    spine = find_joints(rig).joints["spine"]
+    assert spine is not None
+    character = doll()
+    mirror = find_mirror(character.rig, [*character.joints, spine], character.garment, character.body)
+    plan = SamplePlan((grid_of(spine, [-20, 0, 20], [-20, 0, 30], [-15, 0, 15]),), mirror)
+    # Of 26 nodes, 2 bend only forwards or back and are their own images; half of the other 24 are simulated.
+    assert len(plan.simulated) == 2 + 12
+    for sample in plan.simulated:
+        parent = plan.parent(sample)
+        assert parent is None or plan.image(parent) is None
+
+
+@pytest.mark.parametrize("budget", [30, 36, 100, 300])
+def test_a_budget_is_kept_and_used(budget: int):
+    joints = doll().joints
+    if budget < len(budget_plan(joints, 1000).simulated):
+        plan = symmetric_plan(budget)
+        assert len(plan.simulated) <= budget
+        assert len(plan.simulated) > 0.6 * budget
+        for grid in plan.grids:
+            for limits, angles in zip(grid.joint.limits, grid.angles, strict=True):
+                assert np.allclose([angles[0], angles[-1]], limits)
+
+
+def test_a_budget_below_the_ends_of_the_ranges_is_refused():
+    with pytest.raises(ValueError, match="more than the 5 allowed"):
+        budget_plan(doll().joints, 5)
+
+
+def test_both_sides_of_a_budget_plan_have_the_same_grid_without_symmetry_too():
+    plan = budget_plan(doll().joints, 140)
+    assert plan.grid["elbow_L"].shape == plan.grid["elbow_R"].shape
+    assert plan.grid["shoulder_L"].shape == plan.grid["shoulder_R"].shape
+
+
+def test_sample_names_are_unique_and_fit_a_file_name():
+    plan = paper_plan(doll().joints)
+    names = [sample.name for sample in plan.samples]
+    assert len(set(names)) == len(names)
+    assert all(name.replace("-", "").replace("_", "").isalnum() for name in names)
+    assert Sample("elbow_L", (3,)).name == "elbow_L-3"

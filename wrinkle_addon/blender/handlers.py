@@ -1,0 +1,133 @@
+"""When Blender says that something moved: every handler of the add-on."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import bpy
+from bpy.app.handlers import persistent
+
+from . import playback
+from .node_group import NO_FRAME, find_modifier, get_input, set_input
+
+RENDER_FAILED = 3
+"""Exit code of a background process in which a garment could not be played."""
+
+_suspensions = 0
+_saved_frames: dict[int, float] = {}
+"""Frames that modifiers showed when saving began, by the session_uid of the garment."""
+
+
+@contextmanager
+def suspended() -> Iterator[None]:
+    """No playing meanwhile: for whatever steps through frames or poses on its own account."""
+    global _suspensions  # noqa: PLW0603 - handlers have no other place to keep it
+    _suspensions += 1
+    try:
+        yield
+    finally:
+        _suspensions -= 1
+
+
+# --- playing ------------------------------------------------------------------------------------------------------
+
+
+@persistent
+def play_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None) -> None:
+    """Every frame and subframe of playback and of renders.
+
+    In the background, a garment that cannot be played ends the process: Blender itself would go on rendering wrong
+    frames and report success.
+    """
+    if _suspensions or depsgraph is None:
+        return
+    errors = playback.play_scene(scene, depsgraph)
+    if errors and bpy.app.background:
+        for error in errors:
+            print(f"wrinkle: {error}", file=sys.stderr)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        # Leaving by an exception takes Python down inside a render, where some versions hang.
+        os._exit(RENDER_FAILED)
+
+
+@persistent
+def play_changes(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    """Posing without a change of frame.
+
+    Showing a garment is a change, too, and calls this again; then all is as it was, and nothing is done.
+    """
+    if not _suspensions and not bpy.app.is_job_running("RENDER"):
+        playback.play_scene(scene, depsgraph, only_changes=True)
+
+
+# --- the file -----------------------------------------------------------------------------------------------------
+
+
+@persistent
+def forget_file(path: str, unused: object = None) -> None:
+    """Another file was opened."""
+    playback.forget_all()
+
+
+@persistent
+def doubt_file(scene: bpy.types.Scene, unused: object = None) -> None:
+    """Undo or redo replaced the file's data."""
+    playback.doubt_all()
+
+
+@persistent
+def hide_played(path: str, unused: object = None) -> None:
+    """Save garments as skinned, so that a file opened without the add-on never shows a frozen pose."""
+    _saved_frames.clear()
+    for garment, modifier in _modifiers():
+        _saved_frames[garment.session_uid] = get_input(modifier, "Frame")
+        set_input(modifier, "Frame", NO_FRAME)
+
+
+@persistent
+def show_played(path: str, unused: object = None) -> None:
+    """Go on after saving, or after it failed. Nothing was evaluated in between, so nothing needs to be now."""
+    for garment, modifier in _modifiers():
+        set_input(modifier, "Frame", _saved_frames.get(garment.session_uid, NO_FRAME))
+    _saved_frames.clear()
+
+
+def _modifiers() -> Iterator[tuple[bpy.types.Object, bpy.types.NodesModifier]]:
+    """Garments of this file and their Wrinkles modifiers."""
+    for ob in bpy.data.objects:
+        if ob.type == "MESH" and ob.library is None and (modifier := find_modifier(ob)) is not None:
+            yield ob, modifier
+
+
+HANDLERS: dict[str, Callable[..., None]] = {
+    "frame_change_post": play_frame,
+    "depsgraph_update_post": play_changes,
+    "load_post": forget_file,
+    "undo_post": doubt_file,
+    "redo_post": doubt_file,
+    "save_pre": hide_played,
+    "save_post": show_played,
+    "save_post_fail": show_played,
+}
+
+classes = ()
+
+
+def register() -> None:
+    """Add the handlers, in place of those of an earlier registration."""
+    unregister()
+    for name, handler in HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(handler)
+
+
+def unregister() -> None:
+    """Remove the handlers, whichever import of this module they come from."""
+    for name in HANDLERS:
+        handlers = getattr(bpy.app.handlers, name)
+        for handler in list(handlers):
+            if handler.__module__.endswith("wrinkle_addon.blender.handlers"):
+                handlers.remove(handler)

@@ -1,0 +1,150 @@
+"""The modifier that puts a garment where the played positions say: one Geometry Nodes group, shared by all garments."""
+
+from __future__ import annotations
+
+import re
+
+import bpy
+
+MODIFIER = "Wrinkles"
+VERSION = 1
+"""Raised whenever the node group changes, so that an older one in a file is replaced."""
+GROUP = f"{MODIFIER} {VERSION}"
+ATTRIBUTE = "wrinkle_position"
+"""Float vector on the garment's points: played positions in object space."""
+NO_FRAME = -1.0e7
+"""Stored frame that is no scene's: the modifier lets the skinned garment through."""
+
+_ANY_VERSION = re.compile(rf"{MODIFIER} \d+(\.\d+)?")
+_INPUTS = (
+    ("Factor", 1.0, "How far the garment goes from its skinned to its played shape"),
+    ("Mask", 1.0, "The same for each vertex: a number, or a vertex group"),
+    ("Frame", NO_FRAME, "Frame that the stored positions belong to"),
+)
+
+
+# --- the modifier -------------------------------------------------------------------------------------------------
+
+
+def find_modifier(garment: bpy.types.Object) -> bpy.types.NodesModifier | None:
+    """The garment's Wrinkles modifier, whatever it is called by now."""
+    for modifier in garment.modifiers:
+        if modifier.type == "NODES" and modifier.node_group and _ANY_VERSION.fullmatch(modifier.node_group.name):
+            return modifier
+    return None
+
+
+def add_modifier(garment: bpy.types.Object) -> bpy.types.NodesModifier:
+    """See to one Wrinkles modifier on the garment: right after its Armature modifier, where a new one is placed."""
+    modifier = find_modifier(garment)
+    if modifier is None:
+        modifier = garment.modifiers.new(MODIFIER, "NODES")
+        armatures = [i for i, other in enumerate(garment.modifiers) if other.type == "ARMATURE"]
+        garment.modifiers.move(len(garment.modifiers) - 1, armatures[-1] + 1 if armatures else 0)
+    group = modifier.node_group
+    if group is None or group.name != GROUP:
+        modifier.node_group = wrinkles_group()
+        set_input(modifier, "Frame", NO_FRAME)
+    return modifier
+
+
+def set_input(modifier: bpy.types.NodesModifier, name: str, value: float) -> None:
+    """Set an input of the modifier; the garment is evaluated anew only once it is tagged."""
+    identifier = _identifier(modifier, name)
+    if _inputs_are_properties():
+        getattr(modifier.properties.inputs, identifier).value = value
+    else:
+        modifier[identifier] = value
+
+
+def get_input(modifier: bpy.types.NodesModifier, name: str) -> float:
+    """Value of an input of the modifier."""
+    identifier = _identifier(modifier, name)
+    if _inputs_are_properties():
+        return getattr(modifier.properties.inputs, identifier).value
+    return modifier[identifier]
+
+
+def set_mask(modifier: bpy.types.NodesModifier, vertex_group: str) -> None:
+    """Show wrinkles by the weights of a vertex group; everywhere for an empty name."""
+    identifier = _identifier(modifier, "Mask")
+    if _inputs_are_properties():
+        socket = getattr(modifier.properties.inputs, identifier)
+        socket.type = "ATTRIBUTE" if vertex_group else "VALUE"
+        socket.attribute_name = vertex_group
+    else:
+        modifier[f"{identifier}_use_attribute"] = bool(vertex_group)
+        modifier[f"{identifier}_attribute_name"] = vertex_group
+
+
+def _inputs_are_properties() -> bool:
+    """From Blender 5.2 on, inputs are RNA properties; before, custom properties of the modifier."""
+    return "properties" in bpy.types.NodesModifier.bl_rna.properties
+
+
+def _identifier(modifier: bpy.types.NodesModifier, name: str) -> str:
+    for item in modifier.node_group.interface.items_tree:
+        if item.name == name and item.in_out == "INPUT":
+            return item.identifier
+    raise ValueError(f"The node group '{modifier.node_group.name}' was changed: it has no input '{name}'; delete it.")
+
+
+# --- the node group -----------------------------------------------------------------------------------------------
+
+
+def wrinkles_group() -> bpy.types.GeometryNodeTree:
+    """The node group of this version: the file's own, or a new one."""
+    return bpy.data.node_groups.get((GROUP, None)) or _build_group()
+
+
+def _build_group() -> bpy.types.GeometryNodeTree:
+    """Positions from the attribute, mixed in by Factor * Mask, where the attribute exists and Frame is the scene's.
+
+    The scene's time node counts fractions of frames too, so that positions of one subframe are never shown in another.
+    """
+    group = bpy.data.node_groups.new(GROUP, "GeometryNodeTree")
+    group.is_modifier = True
+    group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    group.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+    for name, default, description in _INPUTS:
+        socket = group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
+        socket.description, socket.default_value = description, default
+        if name == "Frame":
+            socket.hide_in_modifier = True
+        else:
+            socket.min_value, socket.max_value, socket.subtype = 0.0, 1.0, "FACTOR"
+    nodes, link = group.nodes, group.links.new
+    inputs = nodes.new("NodeGroupInput").outputs
+    played = nodes.new("GeometryNodeInputNamedAttribute")
+    played.data_type = "FLOAT_VECTOR"
+    played.inputs["Name"].default_value = ATTRIBUTE
+    current = _math(group, "COMPARE", inputs["Frame"], nodes.new("GeometryNodeInputSceneTime").outputs["Frame"])
+    shown = _math(group, "MULTIPLY", current, played.outputs["Exists"])
+    wanted = _math(group, "MULTIPLY", inputs["Factor"], inputs["Mask"])
+    weight = _math(group, "MULTIPLY", shown, wanted)
+    mix = nodes.new("ShaderNodeMix")
+    mix.data_type = "VECTOR"
+    sockets = {socket.identifier: socket for socket in (*mix.inputs, *mix.outputs)}
+    link(weight, sockets["Factor_Float"])
+    link(nodes.new("GeometryNodeInputPosition").outputs["Position"], sockets["A_Vector"])
+    link(played.outputs["Attribute"], sockets["B_Vector"])
+    move = nodes.new("GeometryNodeSetPosition")
+    link(inputs["Geometry"], move.inputs["Geometry"])
+    link(weight, move.inputs["Selection"])
+    link(sockets["Result_Vector"], move.inputs["Position"])
+    link(move.outputs["Geometry"], nodes.new("NodeGroupOutput").inputs["Geometry"])
+    for place, node in enumerate(nodes):
+        node.location = (220 * (place % 4), -240 * (place // 4))
+    return group
+
+
+def _math(
+    group: bpy.types.GeometryNodeTree, operation: str, a: bpy.types.NodeSocket, b: bpy.types.NodeSocket
+) -> bpy.types.NodeSocket:
+    """A Math node over two sockets; COMPARE gives 1 where they differ by no more than 0.0001, else 0."""
+    node = group.nodes.new("ShaderNodeMath")
+    node.operation = operation
+    node.inputs[2].default_value = 1.0e-4
+    group.links.new(a, node.inputs[0])
+    group.links.new(b, node.inputs[1])
+    return node.outputs[0]

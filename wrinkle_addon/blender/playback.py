@@ -1,0 +1,319 @@
+"""Playing: the poses of a scene's armatures, through the garments' databases, onto the garments' meshes.
+
+What is shown is a pure function of the evaluated scene. Players hold arrays and no Blender data, so undo leaves them
+valid; they are found by the garment object's session_uid, which outlives undo and renaming.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import bpy
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ..database import WrinkleDatabase
+from ..folder_verbs import choose_device
+from ..joint_wrinkles import Formulation, JointWrinkles
+from ..rig import FloatArray, Pose
+from .armature import PoseReader, rig_scale
+from .matching import check_mesh, match_rig
+from .node_group import find_modifier
+from .preferences import device_name
+from .write import make_writable, show_positions, show_skinned
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a player is made from; another source needs another player."""
+
+    database: str
+    formulation: Formulation
+    device: str
+    armature: int
+
+    @staticmethod
+    def of(garment: bpy.types.Object) -> Source:
+        """The source that a garment's settings name.
+
+        Raises:
+            ValueError: If they name none; one sentence.
+        """
+        settings = garment.wrinkles
+        if settings.armature is None:
+            raise ValueError(f"The garment '{garment.name}' has no armature; set it up again.")
+        if not settings.database:
+            raise ValueError(f"The garment '{garment.name}' has no database; bake it, or choose one.")
+        return Source(
+            bpy.path.abspath(settings.database),
+            Formulation[settings.formulation],
+            device_name(),
+            settings.armature.session_uid,
+        )
+
+
+class Player:
+    """One garment's database, bound to a device, and all arrays that playing needs.
+
+    Args:
+        garment: The garment object; it gets a mesh of its own if it shares one.
+        source: The source that its settings name.
+
+    Attributes:
+        clamped: Joints that went beyond their samples in the last pose, and by how much [rad].
+
+    Raises:
+        ValueError: One sentence, if the database cannot be read, or is not of this garment and its rig.
+    """
+
+    def __init__(self, garment: bpy.types.Object, source: Source):
+        device = choose_device(source.device)
+        self.source = source
+        self.database = WrinkleDatabase.open(Path(source.database))
+        self.doubt()
+        self.check(garment)
+        make_writable(garment)
+        # Garments that share an armature and were baked for the same rest pose share its pose, too.
+        self.rig_key = (source.armature, self.database.header.rig.fingerprint())
+        self._evaluator = JointWrinkles(self.database, source.formulation).bind(device)
+        self._positions = wp.zeros(self._evaluator.vertex_count, dtype=wp.vec3, device=device)
+        on_cpu = self._positions.device.is_cpu
+        self._host = self._positions if on_cpu else wp.zeros_like(self._positions, device="cpu", pinned=True)
+        self._host_view: NDArray[np.float32] = self._host.numpy()
+
+    @cached_property
+    def summary(self) -> str:
+        """What is played, for the panel."""
+        samples = len(self.database.header.plan.samples) + 1
+        megabytes = self.database.stored_bytes / 1e6
+        return f"{self._evaluator.vertex_count} vertices, {samples} samples, {megabytes:.1f} MB"
+
+    @property
+    def clamped(self) -> Mapping[str, FloatArray]:
+        return self._evaluator.clamped
+
+    def check(self, garment: bpy.types.Object) -> None:
+        """Compare the garment's mesh and rig with the database, if there is reason to.
+
+        Raises:
+            ValueError: One sentence that says what changed since the bake.
+        """
+        glance = _glance(garment)
+        if glance == self._checked:
+            return
+        self.doubt()
+        header = self.database.header
+        armature = garment.wrinkles.armature
+        check_mesh(garment, header.garment)
+        self._scale = match_rig(armature, header)
+        self._reader = PoseReader(armature, header.rig)
+        self._to_bake = self._scale / rig_scale(armature)
+        self._checked = glance
+
+    def doubt(self) -> None:
+        """Check and play again, whatever seems unchanged: the file's data was replaced."""
+        self._checked = self._inputs = None
+
+    def read_pose(self, armature: bpy.types.Object) -> Pose:
+        """The pose of the evaluated armature in the metres of the bake."""
+        pose = self._reader.read(armature)
+        pose.matrices[:, :3, 3] *= self._to_bake
+        return pose
+
+    def play(
+        self, garment: bpy.types.Object, pose: Pose, depsgraph: bpy.types.Depsgraph, *, only_changes: bool = False
+    ) -> None:
+        """Show the garment in a pose.
+
+        Args:
+            garment: The original garment object.
+            pose: From :meth:`read_pose`.
+            depsgraph: Whence placement, strengths (which may be animated) and frame come.
+            only_changes: Do nothing if all that decides the result is as it was.
+        """
+        evaluated = garment.evaluated_get(depsgraph)
+        placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
+        strengths = evaluated.wrinkles.strengths()
+        frame = depsgraph.scene.frame_current_final
+        inputs = (pose.matrices.tobytes(), placement.tobytes(), strengths, frame)
+        if only_changes and inputs == self._inputs:
+            return
+        self._evaluator.evaluate(pose, self._positions, strengths, placement)
+        if self._host is not self._positions:
+            wp.copy(self._host, self._positions)
+            wp.synchronize_device(self._positions.device)
+        show_positions(garment, self._host_view, frame)
+        self._inputs = inputs
+
+    def _placement(self, garment: bpy.types.Object, armature: bpy.types.Object) -> FloatArray:
+        """Matrix from rig space [m] to the garment's object space, shape [4, 4]; both objects evaluated."""
+        # A garment that is scaled to nothing is not seen, but must not fail.
+        placement = np.array(garment.matrix_world.inverted_safe() @ armature.matrix_world, np.float64)
+        placement[:, :3] /= self._scale
+        return placement
+
+
+def _glance(garment: bpy.types.Object) -> tuple[object, ...]:
+    """What tells a changed mesh or rig at a glance; what edit mode does to a mesh besides is found on leaving it."""
+    mesh, bones = garment.data, garment.wrinkles.armature.data.bones
+    rest = np.empty(16 * len(bones), np.float32)
+    bones.foreach_get("matrix_local", rest)
+    counts = len(mesh.vertices), len(mesh.edges), len(mesh.polygons), len(mesh.loops)
+    return mesh.session_uid, *counts, *bones.keys(), rest.tobytes()
+
+
+# --- the players of this session ----------------------------------------------------------------------------------
+
+
+@dataclass
+class Status:
+    """How a garment is played.
+
+    Attributes:
+        player: None as long as there is none.
+        failed: A source that no player could be made from, and why; not tried again until something changes.
+        error: One sentence, if the garment shows its skinned shape because of it; else empty.
+    """
+
+    player: Player | None = None
+    failed: tuple[Source, str] | None = None
+    error: str = ""
+
+
+_statuses: dict[int, Status] = {}
+"""By the session_uid of the garment object."""
+
+
+def status(garment: bpy.types.Object) -> Status:
+    """How the garment is played."""
+    return _statuses.get(garment.session_uid) or Status()
+
+
+def play_scene(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, *, only_changes: bool = False) -> list[str]:
+    """Play every garment of a scene that is switched on; one that fails shows its skinned shape.
+
+    Args:
+        depsgraph: The evaluated scene; all garments on one armature share one reading of its pose.
+        only_changes: Leave out garments whose pose, placement, strengths and frame are as they were.
+
+    Returns:
+        One sentence for every garment that failed.
+    """
+    errors = []
+    poses: dict[object, Pose] = {}
+    garments = [ob for ob in scene.objects if ob.type == "MESH" and ob.wrinkles.enabled]
+    for garment in garments:
+        known = _statuses.setdefault(garment.session_uid, Status())
+        try:
+            _play_garment(garment, known, depsgraph, poses, only_changes)
+            known.error = ""
+        except Exception as error:
+            if not isinstance(error, ValueError):
+                traceback.print_exc()
+            known.error = _sentence(error)
+            errors.append(known.error)
+            _fall_back(garment)
+    if len(_statuses) > len(garments):
+        _forget_removed()
+    return errors
+
+
+def _play_garment(
+    garment: bpy.types.Object,
+    known: Status,
+    depsgraph: bpy.types.Depsgraph,
+    poses: dict[object, Pose],
+    only_changes: bool,
+) -> None:
+    if garment.data.is_editmode:
+        # Whatever comes out of edit mode is looked at again.
+        _doubt(known)
+        return
+    if not garment.evaluated_get(depsgraph).is_evaluated or not _is_shown(garment, depsgraph):
+        return
+    player = _player(garment, known)
+    player.check(garment)
+    if player.rig_key not in poses:
+        armature = garment.wrinkles.armature.evaluated_get(depsgraph)
+        if not armature.is_evaluated:
+            raise ValueError(
+                f"The armature '{armature.name}' of the garment '{garment.name}' is not in the scene "
+                f"'{depsgraph.scene.name}'; put it there."
+            )
+        poses[player.rig_key] = player.read_pose(armature)
+    player.play(garment, poses[player.rig_key], depsgraph, only_changes=only_changes)
+
+
+def _is_shown(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether the eye of the garment's modifier is open; a garment without one will get one."""
+    modifier = find_modifier(garment)
+    if modifier is None:
+        return True
+    return modifier.show_render if depsgraph.mode == "RENDER" else modifier.show_viewport
+
+
+def _player(garment: bpy.types.Object, known: Status) -> Player:
+    source = Source.of(garment)
+    if known.player is not None and known.player.source == source:
+        return known.player
+    if known.failed is not None and known.failed[0] == source:
+        raise ValueError(known.failed[1])
+    known.player = known.failed = None
+    try:
+        known.player = Player(garment, source)
+    except Exception as error:
+        known.failed = source, _sentence(error)
+        raise
+    for scene in garment.users_scene:
+        # A render from the window plays on its own thread; the window must not evaluate the mesh meanwhile.
+        if not scene.render.use_lock_interface:
+            scene.render.use_lock_interface = True
+    return known.player
+
+
+def _sentence(error: Exception) -> str:
+    return str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+
+
+def _fall_back(garment: bpy.types.Object) -> None:
+    if garment.library is None:
+        show_skinned(garment)
+
+
+def _doubt(known: Status) -> None:
+    known.failed = None
+    if known.player is not None:
+        known.player.doubt()
+
+
+def doubt(garment: bpy.types.Object) -> None:
+    """Something about the garment changed by hand: what failed is tried again, what is shown is looked at again."""
+    _doubt(status(garment))
+
+
+def doubt_all() -> None:
+    """Undo, redo, or an edited rig: players stay, but trust nothing that they know of the file."""
+    for known in _statuses.values():
+        _doubt(known)
+
+
+def forget(garment: bpy.types.Object) -> None:
+    """Drop the garment's player, so that the next frame opens its database anew."""
+    _statuses.pop(garment.session_uid, None)
+
+
+def forget_all() -> None:
+    """Drop every player: another file was opened."""
+    _statuses.clear()
+
+
+def _forget_removed() -> None:
+    """Drop players of garments that are gone; those that are switched off may come back any moment."""
+    alive = {ob.session_uid for ob in bpy.data.objects}
+    for uid in _statuses.keys() - alive:
+        del _statuses[uid]

@@ -1,0 +1,227 @@
+"""What a garment object remembers: who wears it, its joints, how it is baked and played."""
+
+from __future__ import annotations
+
+import json
+
+import bpy
+import numpy as np
+
+from ..bake import BakeSettings
+from ..cloth_model import Fabric
+from ..joint_wrinkles import Formulation
+from ..rig import Joint
+from . import playback
+from .node_group import add_modifier, set_mask
+from .write import show_skinned
+
+_OVERRIDABLE = {"LIBRARY_OVERRIDABLE"}
+"""Kept when a linked character is made local in part: without it, a reopened override reads the linked armature."""
+
+PLANS = (
+    ("PAPER", "Full", "Hinges every 15 degrees, balls every 30: some 300 samples for an upper body"),
+    ("BUDGET", "Budget", "The finest plan that keeps to a number of simulated samples"),
+)
+
+
+def _played_anew(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    """Play with what the artist has just changed, without waiting for another frame."""
+    garment = settings.id_data
+    playback.doubt(garment)
+    garment.update_tag()
+
+
+def _switched(settings: GarmentSettings, context: bpy.types.Context) -> None:
+    if not settings.enabled:
+        show_skinned(settings.id_data)
+    _played_anew(settings, context)
+
+
+def _masked(settings: GarmentSettings, context: bpy.types.Context) -> None:
+    set_mask(add_modifier(settings.id_data), settings.mask)
+    settings.id_data.update_tag()
+
+
+class JointSettings(bpy.types.PropertyGroup):
+    """One joint of a garment."""
+
+    name: bpy.props.StringProperty(name="Joint", description="elbow_L, spine, ...")
+    enabled: bpy.props.BoolProperty(name="Sample", default=True, description="Bake samples of this joint")
+    strength: bpy.props.FloatProperty(
+        name="Strength",
+        default=1.0,
+        min=0.0,
+        soft_max=2.0,
+        options={"ANIMATABLE"},
+        description="Of its wrinkles",
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+    definition: bpy.props.StringProperty(options={"HIDDEN"})
+    low: bpy.props.FloatVectorProperty(
+        name="From", size=3, subtype="EULER", unit="ROTATION", max=0.0, description="Lowest angles, relative to rest"
+    )
+    high: bpy.props.FloatVectorProperty(
+        name="To", size=3, subtype="EULER", unit="ROTATION", min=0.0, description="Highest angles, relative to rest"
+    )
+
+    def store(self, joint: Joint) -> None:
+        """Remember a joint."""
+        self.name = joint.name
+        self.definition = json.dumps(
+            {
+                "bones": joint.bones,
+                "near": joint.near,
+                "dof": joint.dof,
+                "axes": joint.axes.tolist(),
+                "shares": joint.shares.tolist(),
+            }
+        )
+        for axis in range(joint.dof):
+            self.low[axis], self.high[axis] = (float(angle) for angle in joint.limits[axis])
+
+    def joint(self) -> Joint:
+        """The joint, with its range as it stands now."""
+        data = json.loads(self.definition)
+        dof = data["dof"]
+        return Joint(
+            name=self.name,
+            bones=tuple(data["bones"]),
+            near=data["near"],
+            dof=dof,
+            axes=np.array(data["axes"], np.float64),
+            limits=np.stack([np.array(self.low[:dof]), np.array(self.high[:dof])], 1).astype(np.float64),
+            shares=np.array(data["shares"], np.float64),
+        )
+
+
+class GarmentSettings(bpy.types.PropertyGroup):
+    """Settings of one garment object; ``armature`` is set on garments that take part."""
+
+    armature: bpy.props.PointerProperty(type=bpy.types.Object, name="Armature", override=_OVERRIDABLE)
+    body: bpy.props.PointerProperty(type=bpy.types.Object, name="Body", override=_OVERRIDABLE)
+    original: bpy.props.PointerProperty(
+        type=bpy.types.Object, name="Original", description="The garment that this finer copy was made from"
+    )
+    database: bpy.props.StringProperty(
+        name="Database",
+        subtype="DIR_PATH",
+        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
+        description="Folder of the baked samples",
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+    enabled: bpy.props.BoolProperty(
+        name="Wrinkles",
+        default=False,
+        description="Play the database on every pose",
+        override=_OVERRIDABLE,
+        update=_switched,
+    )
+    strength: bpy.props.FloatProperty(
+        name="Strength",
+        default=1.0,
+        min=0.0,
+        soft_max=2.0,
+        options={"ANIMATABLE"},
+        description="Of all wrinkles",
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+    mask: bpy.props.StringProperty(
+        name="Mask",
+        description="Vertex group by which wrinkles show; everywhere if left out",
+        override=_OVERRIDABLE,
+        update=_masked,
+    )
+    formulation: bpy.props.EnumProperty(
+        name="Formulation",
+        items=[
+            (Formulation.OFFSETS.name, "Offsets", "Offsets over skinning, added up over the joints"),
+            (Formulation.PAPER.name, "Paper", "Positions along arcs, averaged by distance (Wang et al. 2010)"),
+        ],
+        default=Formulation.OFFSETS.name,
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+    joints: bpy.props.CollectionProperty(type=JointSettings, override=_OVERRIDABLE)
+    notes: bpy.props.StringProperty(description="Sentences on joints that were not found, one a line")
+    active_joint: bpy.props.IntProperty()
+    plan: bpy.props.EnumProperty(name="Plan", items=PLANS, default="PAPER")
+    budget: bpy.props.IntProperty(
+        name="Samples", default=36, min=2, description="Most samples to simulate; mirror images come for free"
+    )
+    use_symmetry: bpy.props.BoolProperty(
+        name="Symmetry", default=True, description="Simulate one side only where body, garment and rig are symmetric"
+    )
+    ease_girth: bpy.props.FloatProperty(
+        name="Ease Girth",
+        default=3.0,
+        min=-20.0,
+        max=50.0,
+        subtype="PERCENTAGE",
+        description="Extra cloth around limbs",
+    )
+    ease_length: bpy.props.FloatProperty(
+        name="Ease Length",
+        default=4.0,
+        min=-20.0,
+        max=50.0,
+        subtype="PERCENTAGE",
+        description="Extra cloth along limbs",
+    )
+    stretch: bpy.props.FloatProperty(
+        name="Stretch", default=Fabric().stretch, min=1.0, description="Stiffness against stretching, N/m"
+    )
+    bending: bpy.props.FloatProperty(
+        name="Bending", default=Fabric().bending, min=1e-8, precision=7, description="Bending stiffness, N m"
+    )
+    density: bpy.props.FloatProperty(
+        name="Density", default=Fabric().density, min=1e-3, description="Mass per area, kg/m^2"
+    )
+    friction: bpy.props.FloatProperty(
+        name="Friction", default=Fabric().friction, min=0.0, soft_max=1.0, description="Against the body"
+    )
+    pin_group: bpy.props.StringProperty(name="Pins", description="Vertex group held to the skin, such as a waistband")
+
+    def bake_settings(self) -> BakeSettings:
+        """How samples of this garment are simulated."""
+        # Properties are single precision; the decimal that the artist typed is what goes into the database's key.
+        fabric = Fabric(
+            stretch=_decimal(self.stretch),
+            bending=_decimal(self.bending),
+            density=_decimal(self.density),
+            friction=_decimal(self.friction),
+        )
+        return BakeSettings(fabric=fabric, ease=(_decimal(self.ease_girth) / 100, _decimal(self.ease_length) / 100))
+
+    def strengths(self) -> dict[str, float]:
+        """Strength of every joint, the garment's own included."""
+        return {joint.name: joint.strength * self.strength for joint in self.joints}
+
+
+def _decimal(value: float) -> float:
+    """The shortest decimal of a single precision value."""
+    return float(f"{value:.6g}")
+
+
+def active_garment(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The garment that the artist is working on: the active object, or the first one worn by the active armature."""
+    active = context.object
+    if active is None:
+        return None
+    if active.type == "MESH" and active.wrinkles.armature is not None:
+        return active
+    worn = (ob for ob in context.scene.objects if ob.type == "MESH" and ob.wrinkles.armature == active)
+    return next(worn, None) if active.type == "ARMATURE" else None
+
+
+classes = (JointSettings, GarmentSettings)
+
+
+def register() -> None:
+    bpy.types.Object.wrinkles = bpy.props.PointerProperty(type=GarmentSettings, override=_OVERRIDABLE)
+
+
+def unregister() -> None:
+    del bpy.types.Object.wrinkles

@@ -1,0 +1,265 @@
+"""Setting a garment up: a fine copy of it with weights, its joints found, settings stored on the object."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..bake import BakeJob
+from ..garment import Body, SkinWeights, check_surface, skin_garment
+from ..joints import JointSearch, find_joints
+from ..plan import SamplePlan, budget_plan, paper_plan
+from ..rig import FloatArray, Joint, Rig
+from ..symmetry import find_mirror
+from .character import SamplingStage, apply, check_objects, read_garment, read_mesh, rig_from_world, sampling_stage
+
+LEAST_VERTICES = 10_000
+MOST_SUBDIVISIONS = 4
+SUFFIX = ".wrinkles"
+HEIGHTS = (0.3, 4.0)
+"""Sizes of a body that are taken for metres [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class SetupResult:
+    """What setting up made and found.
+
+    Attributes:
+        garment: The object that will wrinkle.
+        search: The joints found, and what was considered for the others.
+        joints: The joints that move this garment, which will be sampled.
+    """
+
+    garment: bpy.types.Object
+    search: JointSearch
+    joints: tuple[str, ...]
+
+
+def find_armature(garment: bpy.types.Object, body: bpy.types.Object) -> bpy.types.Object | None:
+    """The armature that moves the body, else the garment: of an Armature modifier, or the parent."""
+    for ob in (body, garment):
+        for modifier in ob.modifiers:
+            if modifier.type == "ARMATURE" and modifier.object:
+                return modifier.object
+        if ob.parent and ob.parent.type == "ARMATURE":
+            return ob.parent
+    return None
+
+
+def setup_garment(
+    garment: bpy.types.Object,
+    body: bpy.types.Object,
+    armature: bpy.types.Object | None = None,
+    subdivide: int | None = None,
+) -> SetupResult:
+    """Make a garment ready to be baked.
+
+    A garment of fewer than 10,000 vertices gets a finer copy, ``NAME.wrinkles``, beside it, and is hidden; a fine one
+    is used as it is. Weights come from the body, smoothed over the garment.
+
+    Args:
+        garment: The garment, worn by the body in the rig's rest pose.
+        body: The body.
+        armature: The rig; left out, the one that moves the body.
+        subdivide: Levels of subdivision; left out, as many as it takes.
+
+    Raises:
+        ValueError: One sentence that says what cannot be used and why.
+    """
+    armature = armature or find_armature(garment, body)
+    check_objects(garment, body, armature)
+    assert armature is not None
+    if garment == body:
+        raise ValueError("Garment and body are the same object; choose two.")
+    with sampling_stage(armature, body) as stage:
+        check_size(stage)
+        mesh = rest_mesh(garment, subdivide)
+        try:
+            positions, faces = read_mesh(mesh)
+            check_surface(garment.name, positions, faces)
+            to_rig = rig_from_world(armature) @ np.array(garment.matrix_world, np.float64)
+            weights = skin_garment(apply(to_rig, positions), faces, stage.body)
+        except BaseException:
+            bpy.data.meshes.remove(mesh)
+            raise
+        rig, shape = stage.rig, stage.body
+    fine = place_copy(garment, mesh) if mesh_differs(garment, mesh) else garment
+    if fine is garment:
+        bpy.data.meshes.remove(mesh)
+    write_weights(fine, rig, weights)
+    bind_to_armature(fine, armature)
+    search = find_joints(rig)
+    settings = fine.wrinkles
+    settings.armature, settings.body = armature, body
+    settings.original = garment if fine is not garment else None
+    used = [joint for joint in search.found if moves(joint, rig, weights)]
+    settings.joints.clear()
+    for joint in used:
+        settings.joints.add().store(joint)
+    if not settings.database:
+        settings.database = f"//{bpy.path.clean_name(garment.name)}.wrinkles"
+    return SetupResult(fine, search, tuple(joint.name for joint in used))
+
+
+def check_size(stage: SamplingStage) -> None:
+    """Refuse a body of a size that no cloth would fall right on.
+
+    Raises:
+        ValueError: One sentence with the size and the remedy.
+    """
+    size = float(np.ptp(stage.body.positions, axis=0).max())
+    if not HEIGHTS[0] < size < HEIGHTS[1]:
+        raise ValueError(
+            f"The body is {size:.3g} m tall; set the scene's unit scale, or the armature's, so that it has its true size."
+        )
+
+
+def rest_mesh(garment: bpy.types.Object, subdivide: int | None) -> bpy.types.Mesh:
+    """A new mesh of the garment's rest shape: all modifiers before its Armature modifier, then subdivided.
+
+    Raises:
+        ValueError: If the garment cannot be made fine enough.
+    """
+    copy = garment.copy()
+    copy.data = garment.data.copy()
+    scene = bpy.data.scenes.new("Wrinkle Setup")
+    made = [copy.data, copy, scene]
+    try:
+        scene.collection.objects.link(copy)
+        found = False
+        for modifier in list(copy.modifiers):
+            found = found or modifier.type == "ARMATURE" or modifier.name == "Wrinkles"
+            if found:
+                copy.modifiers.remove(modifier)
+        levels = subdivide if subdivide is not None else _levels(len(copy.data.vertices))
+        if levels:
+            subdivision = copy.modifiers.new("Subdivision", "SUBSURF")
+            subdivision.levels = subdivision.render_levels = levels
+        layer = scene.view_layers[0]
+        layer.update()
+        return bpy.data.meshes.new_from_object(copy.evaluated_get(layer.depsgraph))
+    finally:
+        bpy.data.batch_remove(made[::-1])
+
+
+def _levels(vertex_count: int) -> int:
+    """Subdivisions until there are enough vertices; each makes about four of one."""
+    levels = 0
+    while vertex_count < LEAST_VERTICES and levels < MOST_SUBDIVISIONS:
+        vertex_count *= 4
+        levels += 1
+    return levels
+
+
+def mesh_differs(garment: bpy.types.Object, mesh: bpy.types.Mesh) -> bool:
+    """Whether the garment needs a copy: it was subdivided, or modifiers before its armature shape it."""
+    if len(garment.data.vertices) != len(mesh.vertices) or garment.data.users > 1 or garment.data.library:
+        return True
+    return bool(np.abs(read_mesh(garment.data)[0] - read_mesh(mesh)[0]).max() > 1e-6)
+
+
+def place_copy(garment: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
+    """A new object of a finer mesh beside the garment, which is hidden; an earlier copy is replaced."""
+    name = garment.name + SUFFIX
+    earlier = bpy.data.objects.get(name)
+    if earlier is not None and earlier.wrinkles.original == garment:
+        bpy.data.objects.remove(earlier)
+    copy = garment.copy()
+    copy.name, mesh.name = name, name
+    copy.data = mesh
+    copy.animation_data_clear()
+    for collection in garment.users_collection:
+        collection.objects.link(copy)
+    keep_from = next((i for i, m in enumerate(copy.modifiers) if m.type == "ARMATURE"), len(copy.modifiers))
+    for modifier in list(copy.modifiers)[:keep_from]:
+        copy.modifiers.remove(modifier)
+    garment.hide_render = True
+    garment.hide_viewport = True
+    return copy
+
+
+def write_weights(ob: bpy.types.Object, rig: Rig, weights: SkinWeights) -> None:
+    """Replace the object's groups of the rig's bones by these weights; other groups stay."""
+    dense = weights.to_dense(rig.bone_count)
+    for bone, name in enumerate(rig.names):
+        group = ob.vertex_groups.get(name)
+        if group is not None:
+            ob.vertex_groups.remove(group)
+        vertices = np.flatnonzero(dense[:, bone] > 0.0)
+        if len(vertices):
+            group = ob.vertex_groups.new(name=name)
+            for vertex in vertices:
+                group.add([int(vertex)], float(dense[vertex, bone]), "REPLACE")
+
+
+def bind_to_armature(ob: bpy.types.Object, armature: bpy.types.Object) -> None:
+    """See to one Armature modifier of this armature, by vertex groups, first in the stack."""
+    modifiers = [modifier for modifier in ob.modifiers if modifier.type == "ARMATURE"]
+    for extra in modifiers[1:]:
+        ob.modifiers.remove(extra)
+    modifier = modifiers[0] if modifiers else ob.modifiers.new("Armature", "ARMATURE")
+    modifier.object = armature
+    modifier.use_vertex_groups, modifier.use_bone_envelopes = True, False
+    modifier.use_deform_preserve_volume = False
+    modifier.vertex_group = ""
+    ob.modifiers.move(list(ob.modifiers).index(modifier), 0)
+
+
+def moves(joint: Joint, rig: Rig, weights: SkinWeights, least: float = 0.02) -> bool:
+    """Whether a joint has cloth on both of its sides: at least this share of the garment's vertices."""
+    far = rig.index[joint.far]
+    beyond = np.array([bone == far or rig.is_ancestor(far, bone) for bone in range(rig.bone_count)])
+    carried = weights.to_dense(rig.bone_count) @ beyond
+    return bool((carried > 0.5).mean() >= least and (carried < 0.5).mean() >= least)
+
+
+# --- from settings to a job ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Staged:
+    """A bake that is ready to run, and the stage that its bodies come from."""
+
+    job: BakeJob
+    stage: SamplingStage
+
+
+def stage_job(garment: bpy.types.Object, stage: SamplingStage, limits: Mapping[str, FloatArray] | None = None) -> BakeJob:
+    """The bake that a garment's settings ask for.
+
+    Args:
+        stage: A stage of the garment's armature and body.
+        limits: Ranges to use instead of the stored ones [rad], by joint, shape [dof, 2].
+
+    Raises:
+        ValueError: One sentence, if something in the scene does not fit any more.
+    """
+    settings = garment.wrinkles
+    rig = stage.rig
+    read = read_garment(garment, rig, rig_from_world(settings.armature), settings.pin_group)
+    joints = []
+    for stored in settings.joints:
+        joint = stored.joint()
+        gone = [name for name in (*joint.bones, *([joint.near] if joint.near else [])) if name not in rig.index]
+        if gone:
+            raise ValueError(
+                f"Joint {joint.name} uses the bone {gone[0]}, which the armature no longer has; set the garment up again."
+            )
+        if stored.enabled:
+            joints.append(joint)
+    if not joints:
+        raise ValueError(f"No joint of the garment '{garment.name}' is chosen for sampling.")
+    plan = make_plan(settings, rig, joints, read, stage.body)
+    return BakeJob(rig, read, stage.body, plan, settings.bake_settings())
+
+
+def make_plan(settings: Any, rig: Rig, joints: list[Joint], garment, body: Body) -> SamplePlan:
+    """The plan that settings ask for."""
+    mirror = find_mirror(rig, joints, garment, body) if settings.use_symmetry else None
+    if settings.plan == "BUDGET":
+        return budget_plan(joints, settings.budget, mirror)
+    return paper_plan(joints, mirror)

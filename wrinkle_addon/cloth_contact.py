@@ -1,0 +1,254 @@
+"""Host side of contact: finds what the garment touches, on the body and on itself, and remembers where it sticks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ..kernels.cloth import assembly, contact, self_contact
+from .cloth_model import ClothModel, FloatArray, IntArray, group
+
+
+@dataclass(frozen=True)
+class ContactSettings:
+    """How the garment touches the body and itself.
+
+    Attributes:
+        thickness: Distance from the body at which contact begins [m].
+        pressure: Pressure that holds the garment off when it is pressed down to the surface itself [Pa].
+        depth: Depth inside the body beyond which the force stops growing [m].
+        slip: How far a vertex gives before static friction lets go [m].
+        radius: How far around a vertex the body is looked for [m].
+        least_cosine: A body triangle touches a vertex only if the cosine between its normal and the vertex's outward
+            direction is larger than this; keeps the cloth of one limb from clinging to another.
+        self_thickness: Distance at which the garment touches itself [m], 0 to let it pass.
+    """
+
+    thickness: float = 0.003
+    pressure: float = 3.0e3
+    depth: float = 0.01
+    slip: float = 0.0005
+    radius: float = 0.04
+    least_cosine: float = -0.2
+    self_thickness: float = 0.003
+
+    def __post_init__(self) -> None:
+        for name in ("thickness", "pressure", "depth", "slip", "radius"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"The contact's {name} must be greater than 0, not {getattr(self, name)}.")
+        if not self.self_thickness >= 0.0:
+            raise ValueError(f"The contact's self_thickness must not be negative, but is {self.self_thickness}.")
+
+
+class ContactSearch:
+    """Contact planes, friction anchors and self-contact pairs of every world.
+
+    Attributes:
+        frozen: What the last :meth:`find` found, as the kernels read it.
+        pair_force: Room for a force on each self-contact pair [N].
+        anchor_face, anchor_weights: Where on the body each plane's friction holds on, shape [world_count,
+            vertex_count * PLANES]; face -1 where nothing sticks.
+    """
+
+    def __init__(
+        self,
+        model: ClothModel,
+        settings: ContactSettings,
+        area: wp.array,
+        faces: wp.array,
+        body_faces: IntArray,
+        body_positions: FloatArray,
+    ):
+        self.settings = settings
+        self._device = area.device
+        self._area, self._faces = area, faces
+        self._friction = model.fabric.friction
+        self._shape = (len(body_positions), model.vertex_count)
+        self._make_body(body_faces, body_positions)
+        self._make_planes()
+        self._make_pairs(model)
+
+    def move_body(self, positions: FloatArray) -> None:
+        """Put the body here [m], shape [world_count, body_vertex_count, 3]; friction anchors go with it."""
+        if positions.shape[1] != self._body_points.shape[1]:
+            raise ValueError(f"The body has {self._body_points.shape[1]} vertices, not {positions.shape[1]}.")
+        self._body_points.assign(positions.astype(np.float32))
+        for mesh in self._body_meshes:
+            mesh.refit()
+        self._launch(
+            contact.vertex_normals,
+            self._body_points.shape,
+            [self._body_points, self._body_faces, self._body_corner_start, self._body_corners],
+            [self._body_normals],
+        )
+
+    def set_outward(self, directions: FloatArray) -> None:
+        """Outward unit vectors of the garment's vertices, shape [world_count, vertex_count, 3]."""
+        self._outward.assign(directions.astype(np.float32))
+
+    def forget(self) -> None:
+        """Let go of every friction anchor."""
+        self.anchor_face.fill_(-1)
+        self.anchor_weights.zero_()
+
+    def find(self, positions: wp.array, following: wp.array) -> None:
+        """Freeze contact at these positions (float64 [m]): planes, friction anchors and bounds, pairs.
+
+        ``following``, shape [world_count], says in which worlds anchors change as :meth:`follow` tells.
+        """
+        self._find_planes(positions)
+        self.follow(positions, following)
+        if self.settings.self_thickness > 0.0:
+            self._find_pairs(positions)
+
+    def follow(self, positions: wp.array, following: wp.array) -> None:
+        """Place friction anchors for the planes that were found last.
+
+        Where ``following`` is not 0, they follow the vertices that slip, and new contacts stick; elsewhere they stay.
+        """
+        settings, c = self.settings, self.frozen
+        self._launch(
+            contact.update_anchors,
+            self._shape,
+            [
+                positions,
+                self._area,
+                self._body_points,
+                self._body_faces,
+                c.face,
+                self._face_weights,
+                c.point,
+                c.normal,
+                wp.float64(settings.thickness),
+                wp.float64(settings.pressure),
+                wp.float64(settings.depth),
+                wp.float64(self._friction),
+                wp.float64(settings.slip),
+                following,
+                self.anchor_face,
+                self.anchor_weights,
+            ],
+            [c.anchor, c.friction_bound],
+        )
+
+    def clearance(self, positions: wp.array) -> NDArray[np.float32]:
+        """Signed distance of every vertex to the body [m], negative inside, 1e6 far away."""
+        self._find_planes(positions)
+        c = self.frozen
+        gap = wp.zeros(self._shape, dtype=wp.float32, device=self._device)
+        self._launch(contact.measure_depth, self._shape, [positions, c.face, c.point, c.normal], [gap])
+        return gap.numpy()
+
+    def _find_planes(self, positions: wp.array) -> None:
+        c, settings = self.frozen, self.settings
+        self._launch(
+            contact.find_body_contacts,
+            self._shape,
+            [
+                positions,
+                self._outward,
+                self._body_ids,
+                self._body_points,
+                self._body_faces,
+                self._body_normals,
+                settings.radius,
+                settings.thickness,
+                settings.thickness + settings.depth,
+                settings.least_cosine,
+            ],
+            [c.face, self._face_weights, c.point, c.normal],
+        )
+
+    def _find_pairs(self, positions: wp.array) -> None:
+        """List the pairs of vertices and triangles within reach."""
+        c = self.frozen
+        thickness = self.settings.self_thickness
+        self._launch(self_contact.to_single, self._shape, [positions], [self._points])
+        for mesh in self._garment_meshes:
+            mesh.refit()
+        search = [
+            self._points,
+            self._rest_points,
+            self._faces,
+            self._garment_ids,
+            self_contact.REACH_THICKNESSES * thickness,
+            self_contact.REST_THICKNESSES * thickness,
+        ]
+        owners = len(c.pair_count)
+        self._launch(self_contact.count_pairs, self._shape, search, [c.pair_count])
+        wp.utils.array_scan(c.pair_count, c.pair_start, inclusive=False)
+        total = int(c.pair_start[owners - 1 :].numpy()[0] + c.pair_count[owners - 1 :].numpy()[0])
+        if total > len(c.pair_triangle):
+            self._hold_pairs(total + total // 2)
+        found = [c.pair_triangle, c.pair_weights, c.pair_normal]
+        self._launch(self_contact.fill_pairs, self._shape, [*search, c.pair_start, c.pair_count], found)
+        lists = [self._faces, self._shape[1], c.pair_start, c.pair_count, c.pair_triangle]
+        c.incident_count.zero_()
+        self._launch(self_contact.count_incident, owners, lists, [c.incident_count])
+        wp.utils.array_scan(c.incident_count, c.incident_start, inclusive=False)
+        c.incident_count.zero_()
+        self._launch(self_contact.fill_incident, owners, [*lists, c.incident_start], [c.incident_count, c.incident])
+        self._launch(self_contact.sort_incident, owners, [c.incident_start, c.incident_count, c.incident], [])
+
+    def _make_body(self, faces: IntArray, positions: FloatArray) -> None:
+        start, corners = group(faces.ravel(), positions.shape[1])
+        self._body_faces = wp.array(faces, dtype=wp.int32, device=self._device)
+        self._body_corner_start = wp.array(start, dtype=wp.int32, device=self._device)
+        self._body_corners = wp.array(corners, dtype=wp.int32, device=self._device)
+        self._body_points = wp.array(positions.astype(np.float32), dtype=wp.vec3, device=self._device)
+        self._body_normals = wp.zeros(self._body_points.shape, dtype=wp.vec3, device=self._device)
+        self._body_meshes, self._body_ids = self._meshes(self._body_points, self._body_faces)
+        self.move_body(positions)
+
+    def _make_planes(self) -> None:
+        worlds, vertices = self._shape
+        planes = (worlds, vertices * contact.PLANES)
+        c = assembly.Contact()
+        c.thickness = wp.float64(self.settings.thickness)
+        c.pressure = wp.float64(self.settings.pressure)
+        c.depth = wp.float64(self.settings.depth)
+        c.slip = wp.float64(self.settings.slip)
+        c.face, c.point = self._zeros(planes, wp.int32), self._zeros(planes, wp.vec3d)
+        c.normal, c.anchor = self._zeros(planes, wp.vec3d), self._zeros(planes, wp.vec3d)
+        c.friction_bound = self._zeros(planes, wp.float64)
+        self.frozen = c
+        self._face_weights = self._zeros(planes, wp.vec3)
+        self._outward = self._zeros(self._shape, wp.vec3)
+        self.anchor_face, self.anchor_weights = self._zeros(planes, wp.int32), self._zeros(planes, wp.vec3)
+        self.forget()
+
+    def _make_pairs(self, model: ClothModel) -> None:
+        worlds, vertices = self._shape
+        c = self.frozen
+        c.self_thickness = wp.float64(self.settings.self_thickness)
+        c.self_pressure = wp.float64(self.settings.pressure)
+        for name in ("pair_start", "pair_count", "incident_start", "incident_count"):
+            setattr(c, name, self._zeros(worlds * vertices, wp.int32))
+        self._hold_pairs(worlds * vertices)
+        rest = np.ascontiguousarray(model.rest_positions[None].astype(np.float32))
+        self._rest_points = wp.array(rest, dtype=wp.vec3, device=self._device)
+        self._points = wp.array(np.repeat(rest, worlds, 0), dtype=wp.vec3, device=self._device)
+        self._garment_meshes, self._garment_ids = self._meshes(self._points, self._faces)
+
+    def _hold_pairs(self, capacity: int) -> None:
+        """Make room for this many self-contact pairs."""
+        c = self.frozen
+        c.pair_triangle, c.pair_weights = self._zeros(capacity, wp.int32), self._zeros(capacity, wp.vec3)
+        c.pair_normal, c.incident = self._zeros(capacity, wp.vec3), self._zeros(3 * capacity, wp.int32)
+        self.pair_force = self._zeros(capacity, wp.vec3)
+
+    def _meshes(self, points: wp.array, faces: wp.array) -> tuple[list[wp.Mesh], wp.array]:
+        """One bounding volume tree a world over rows of ``points``."""
+        indices = wp.array(faces.numpy().ravel(), dtype=wp.int32, device=self._device)
+        meshes = [wp.Mesh(points=points[world], indices=indices) for world in range(self._shape[0])]
+        return meshes, wp.array([mesh.id for mesh in meshes], dtype=wp.uint64, device=self._device)
+
+    def _zeros(self, shape: tuple[int, ...] | int, dtype: type) -> wp.array:
+        return wp.zeros(shape, dtype=dtype, device=self._device)
+
+    def _launch(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._device)

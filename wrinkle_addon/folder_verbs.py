@@ -1,0 +1,136 @@
+"""Verbs that need no scene: what lies in a database folder, and what works on this machine."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import importlib.util
+import platform
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+
+from . import storage
+from .database import (
+    DatabaseHeader,
+    WrinkleDatabase,
+    expected_files,
+    find_problems,
+    read_manifest,
+    sample_path,
+    write_manifest,
+)
+from .storage import StorageError
+
+
+def merge(options: argparse.Namespace) -> Mapping[str, Any]:
+    """Write the manifest over samples from any number of shards."""
+    folder = _folder(options)
+    header = _unfinished(folder)
+    write_manifest(folder, header)
+    count = len(header.plan.samples) + 1
+    return {"samples": count, "key": header.key, "text": f"{count} samples merged in {folder}."}
+
+
+def verify(options: argparse.Namespace) -> Mapping[str, Any]:
+    """Compare every file with its hash; what is missing or damaged is the work still to do."""
+    folder = _folder(options)
+    if (folder / "manifest.json").exists():
+        problems = find_problems(folder, read_manifest(folder))
+    else:
+        header = _unfinished(folder)
+        missing = [path for path in expected_files(folder, header.key, header.plan) if not path.exists()]
+        problems = [f"{path.name} is missing" for path in missing]
+    if not problems:
+        WrinkleDatabase.open(folder)
+    text = "\n".join(problems) if problems else f"{folder} is complete and undamaged."
+    return {"ok": not problems, "problems": problems, "text": text, "exit_code": 1 if problems else 0}
+
+
+def info(options: argparse.Namespace) -> Mapping[str, Any]:
+    """What a database holds, what it weighs, and how its samples came out."""
+    database = WrinkleDatabase.open(_folder(options))
+    header = database.header
+    reports = [stored.report for _, stored in database.samples()]
+    stored = sum(sample_path(database.folder, header.key, sample).stat().st_size for sample in header.plan.samples)
+    raw = header.plan.raw_bytes(header.garment.vertex_count)
+    joints = {grid.joint.name: list(grid.shape) for grid in header.plan.grids}
+    residuals = [report["residual"] for report in reports if "residual" in report]
+    result = {
+        "garment": header.garment.name,
+        "vertices": header.garment.vertex_count,
+        "samples": len(header.plan.samples) + 1,
+        "joints": joints,
+        "bytes": database.stored_bytes,
+        "sample_bytes": stored,
+        "raw_bytes": raw,
+        "times_smaller_than_raw": round(raw / max(stored, 1), 2),
+        "worst_residual": max(residuals, default=None),
+        "unconverged": sum(not report.get("converged", True) for report in reports),
+        "inside": max((report.get("inside", 0) for report in reports), default=0),
+        "self_intersections": max((report.get("self_intersections", 0) for report in reports), default=0),
+    }
+    lines = [
+        f"{result['garment']}: {result['vertices']} vertices, {result['samples']} samples",
+        *(f"  {name}: {' x '.join(map(str, shape))}" for name, shape in joints.items()),
+        f"  {stored / 1e6:.1f} MB of samples, {raw / 1e6:.1f} MB as raw positions "
+        f"({result['times_smaller_than_raw']} times smaller)",
+    ]
+    return {**result, "text": "\n".join(lines)}
+
+
+def doctor(options: argparse.Namespace) -> Mapping[str, Any]:
+    """Versions and devices, and what is missing for what."""
+    versions: dict[str, str | None] = {"python": platform.python_version(), "platform": platform.platform()}
+    for package in ("numpy", "warp-lang", "safetensors", "scipy", "matplotlib", "pillow", "bpy"):
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            versions[package] = None
+    if (bpy := sys.modules.get("bpy")) is not None:
+        versions["bpy"] = bpy.app.version_string
+    devices = [str(device) for device in wp.get_devices()]
+    chosen = choose_device(options.device)
+    lines = [f"{name:12} {version or 'missing'}" for name, version in versions.items()]
+    lines += [f"devices      {', '.join(devices)}", f"would use    {chosen}"]
+    if importlib.util.find_spec("scipy") is None or importlib.util.find_spec("matplotlib") is None:
+        lines.append("Without SciPy and Matplotlib there are no plots; everything else works.")
+    return {"versions": versions, "devices": devices, "device": chosen, "text": "\n".join(lines)}
+
+
+def choose_device(name: str) -> str:
+    """The Warp device of a name; "auto" is the first GPU, else the CPU.
+
+    Raises:
+        ValueError: If there is no such device; one sentence that lists those there are.
+    """
+    if name == "auto":
+        return "cuda:0" if wp.is_cuda_available() else "cpu"
+    known = [str(device) for device in wp.get_devices()]
+    if name not in known:
+        raise ValueError(f"There is no device '{name}' here; there is {', '.join(known)}.")
+    return name
+
+
+def _folder(options: argparse.Namespace) -> Path:
+    folder = options.folder or options.database
+    if folder is None:
+        raise ValueError("Name the database folder.")
+    if not folder.is_dir():
+        raise StorageError(f"There is no database '{folder}'.")
+    return folder
+
+
+def _unfinished(folder: Path) -> DatabaseHeader:
+    """The header of a database whose manifest is still to be written."""
+    headers = sorted(folder.glob(f"header-*{storage.ARRAY_SUFFIX}"))
+    if not headers:
+        raise StorageError(f"'{folder}' holds no bake; run the bake first.")
+    if len(headers) > 1:
+        raise StorageError(
+            f"'{folder}' holds {len(headers)} different bakes; keep the files of one key and remove the others."
+        )
+    return DatabaseHeader.read(folder, headers[0].stem.removeprefix("header-"))
