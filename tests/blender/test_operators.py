@@ -58,7 +58,7 @@ def mesh_object(name: str, vertices: np.ndarray, faces: np.ndarray) -> bpy.types
     return ob
 
 
-def test_setting_up_finds_the_joints_and_says_which_are_missing() -> None:
+def test_setting_up_makes_a_fine_garment_and_finds_its_joints() -> None:
     empty_scene()
     figure = doll()
     armature = armature_of(figure.rig)
@@ -69,12 +69,19 @@ def test_setting_up_finds_the_joints_and_says_which_are_missing() -> None:
             group.add([int(vertex)], float(weights[vertex]), "REPLACE")
     body.modifiers.new("Armature", "ARMATURE").object = armature
     mesh_object("shirt", figure.garment.positions, figure.garment.faces)
-    assert bpy.ops.wrinkle.setup_garment(garment="shirt", body="body") == {"FINISHED"}
+    assert bpy.ops.wrinkle.setup_garment(garment="shirt", body="body", subdivide=1) == {"FINISHED"}
     garment = active_garment(bpy.context)
     assert garment is not None
     assert garment.name == "shirt.wrinkles"
     assert {joint.name for joint in garment.wrinkles.joints} >= {"elbow_L", "elbow_R", "shoulder_L", "shoulder_R"}
     assert not garment.wrinkles.enabled
+
+
+def test_setting_up_says_which_joints_are_missing_and_why(arm: Arm) -> None:
+    assert bpy.ops.wrinkle.setup_garment(garment="sleeve", body="body", subdivide=0) == {"FINISHED"}
+    notes = arm.sleeve.wrinkles.notes.splitlines()
+    assert any(note.startswith("knee_L: ") for note in notes)
+    assert any("Considered: " in note for note in notes)
 
 
 def test_setting_up_reports_what_cannot_be_used(arm: Arm) -> None:

@@ -81,7 +81,8 @@ class BakeProcess:
                 ),
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
-                text=True,
+                encoding="utf-8",
+                errors="replace",
             )  # fmt: skip
         except RuntimeError as error:
             self.close()
