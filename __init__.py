@@ -7,13 +7,13 @@ needs no Blender; registering it does.
 
 def register() -> None:
     """Register properties, operators, panels, handlers and the command-line verbs with Blender."""
-    from .operators import register as register_operators
+    from .operators import registration
 
-    register_operators()
+    registration.register()
 
 
 def unregister() -> None:
     """Undo :func:`register`, in reverse order."""
-    from .operators import unregister as unregister_operators
+    from .operators import registration
 
-    unregister_operators()
+    registration.unregister()

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import rotations, storage
-from .cloth import STANDARD_GRAVITY, ClothSimulation, ClothState, ContactSettings, SettleReport, SolverSettings
+from .cloth import STANDARD_GRAVITY, ClothSimulation, ContactSettings, SolverSettings
+from .cloth_contact import Limbs
 from .cloth_model import Fabric, build_cloth_model
 from .database import (
     DatabaseHeader,
@@ -30,6 +30,7 @@ from .database import (
     write_sample,
 )
 from .garment import Body, Garment, bind_to_surface, check_fit, check_surface, find_regions
+from .joints import find_joints
 from .plan import Sample, SamplePlan
 from .rig import FloatArray, Pose, Rig, pose_between, pose_of_angles
 from .surface import SurfaceMeasures
@@ -38,6 +39,9 @@ SOLVER_VERSION = 1
 """Raised whenever the solver gives other samples for the same input, so that old ones are not taken for new."""
 
 STATES = "states"
+
+SLIDE = 0.08
+"""How far cloth may slide from the limb that it lies on in the rest pose onto another one [m]."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +54,11 @@ class BakeSettings:
         solver: Where iterations stop.
         ease: Extra cloth around the girth and along the length, as shares (0.05 is 5 percent).
         turn_step: Largest turn of any bone between two steps of the body [rad].
-        settle_tolerance: Residual at which a sample is in equilibrium, in nodal weights.
+        rest_tolerance: Residual at which the rest pose is in equilibrium, in nodal weights; what it lacks would show
+            in every sample, far from the joint that moves.
+        settle_tolerance: Residual at which a sample is in equilibrium.
         settle_iterations: Bound on the linearisations of one equilibrium.
+        trapped: Share of the vertices that need not come to rest, caught where the body cuts into itself.
         pin_stiffness: How hard a fully pinned vertex is held to the skin [N/m].
     """
 
@@ -60,8 +67,10 @@ class BakeSettings:
     solver: SolverSettings = field(default_factory=SolverSettings)
     ease: tuple[float, float] = (0.0, 0.0)
     turn_step: float = float(np.radians(3.0))
-    settle_tolerance: float = 1.0
-    settle_iterations: int = 60
+    rest_tolerance: float = 0.05
+    settle_tolerance: float = 0.3
+    settle_iterations: int = 80
+    trapped: float = 0.005
     pin_stiffness: float = 20.0
 
 
@@ -246,8 +255,8 @@ def _write_image(job: BakeJob, folder: Path, rest: FloatArray, sample: Sample, s
 class SimulatedSamples:
     """Samples from our own cloth simulation, each from its parent on the grid (W20).
 
-    The state of every sample is kept in the folder until the database is finished, so that its children, in this
-    process or another, start from it to the bit.
+    The shape of every sample that others start from is kept in the folder to the bit, so that they come out the same
+    from this process or another. Friction needs no memory of its own: a garment that lies still tells it.
 
     Args:
         job: What to bake.
@@ -265,74 +274,47 @@ class SimulatedSamples:
     def rest(self) -> SampleShape:
         path = self._path("rest")
         if path.exists():
-            state, report = self._read(path)
-        else:
-            state, report = self._settle_rest()
-            self._write(path, state, report)
-        return SampleShape(state.positions[0], report)
+            return self._read(path)
+        self.wearer.dress()
+        report = self.wearer.settle(self._job.settings.rest_tolerance, trapped=0.0)
+        positions = self.wearer.positions
+        mirror = self._job.plan.mirror
+        if mirror is not None:
+            # Rounding makes the two sides drift apart; samples of one side stand for the other, so rest must not.
+            positions = 0.5 * (positions + mirror.reflect_garment(positions))
+        return self._write(path, SampleShape(positions, report))
 
     def sample(self, sample: Sample) -> SampleShape:
         path = self._path(sample.name)
         if path.exists():
-            state, report = self._read(path)
-            return SampleShape(state.positions[0], report)
-        parent = self._job.plan.parent(sample)
-        if parent is None:
-            self.rest()
-            state, _ = self._read(self._path("rest"))
-            angles = np.zeros_like(self._job.plan.angles(sample))
-        else:
-            self.sample(parent)
-            state, _ = self._read(self._path(parent.name))
-            angles = self._job.plan.angles(parent)
-        wearer = self.wearer
-        wearer.resume(state, self._pose(sample.joint, angles))
-        for fraction in wearer.fractions(self._pose(sample.joint, angles), self._pose(sample.joint, self._angles(sample))):
-            wearer.follow(self._pose(sample.joint, angles + fraction * (self._angles(sample) - angles)))
+            return self._read(path)
+        plan, wearer = self._job.plan, self.wearer
+        parent = plan.parent(sample)
+        end = plan.angles(sample)
+        start = np.zeros_like(end) if parent is None else plan.angles(parent)
+        shape = self.rest() if parent is None else self.sample(parent)
+
+        def pose(fraction: float) -> Pose:
+            angles = start + fraction * (end - start)
+            return pose_of_angles(self._job.rig, self._job.header.joints, {sample.joint: angles})
+
+        wearer.begin(shape.positions, pose(0.0))
+        for fraction in wearer.fractions(pose(0.0), pose(1.0)):
+            wearer.follow(pose(float(fraction)))
         report = wearer.settle()
-        state = wearer.simulation.state()
-        self._write(path, state, report)
-        return SampleShape(state.positions[0], report)
-
-    def _angles(self, sample: Sample) -> FloatArray:
-        return self._job.plan.angles(sample)
-
-    def _pose(self, joint: str, angles: FloatArray) -> Pose:
-        return pose_of_angles(self._job.rig, self._job.header.joints, {joint: angles})
-
-    def _settle_rest(self) -> tuple[ClothState, Mapping[str, Any]]:
-        self.wearer.dress()
-        report = self.wearer.settle()
-        state = self.wearer.simulation.state()
-        mirror = self._job.plan.mirror
-        if mirror is not None:
-            # Rounding makes the two sides drift apart; samples of one side stand for the other, so rest must not.
-            positions = 0.5 * (state.positions[0] + mirror.reflect_garment(state.positions[0]))
-            state = ClothState(
-                positions[None],
-                np.zeros_like(state.velocities),
-                np.full_like(state.anchor_faces, -1),
-                np.zeros_like(state.anchor_weights),
-            )
-        return state, report
+        return self._write(path, SampleShape(wearer.positions, report))
 
     def _path(self, name: str) -> Path:
         return self._states / f"{name}-{self._job.key}{storage.ARRAY_SUFFIX}"
 
-    def _write(self, path: Path, state: ClothState, report: Mapping[str, Any]) -> None:
+    def _write(self, path: Path, shape: SampleShape) -> SampleShape:
         storage.make_folder(self._states)
-        arrays: dict[str, NDArray[Any]] = {
-            "positions": state.positions,
-            "anchor_faces": state.anchor_faces,
-            "anchor_weights": state.anchor_weights,
-        }
-        storage.write_arrays(path, arrays, dict(report))
+        storage.write_arrays(path, {"positions": shape.positions}, dict(shape.report))
+        return shape
 
-    def _read(self, path: Path) -> tuple[ClothState, Mapping[str, Any]]:
+    def _read(self, path: Path) -> SampleShape:
         arrays, report = storage.read_arrays(path)
-        positions = arrays["positions"]
-        state = ClothState(positions, np.zeros_like(positions), arrays["anchor_faces"], arrays["anchor_weights"])
-        return state, report
+        return SampleShape(arrays["positions"], report)
 
 
 class Wearer:
@@ -367,6 +349,7 @@ class Wearer:
             contact_settings=settings.contact,
             solver_settings=settings.solver,
             pin_stiffness=garment.pins * settings.pin_stiffness,
+            limbs=worn_limbs(rig, garment, body),
             device=device,
         )
         self.simulation.set_gravity(rig.gravity * STANDARD_GRAVITY)
@@ -382,17 +365,12 @@ class Wearer:
         self.simulation.start(self.garment.positions)
         self.simulation.move_body(self.bodies.positions(self._pose))
 
-    def resume(self, state: ClothState, pose: Pose) -> None:
-        """Go on from a state that belongs to this pose."""
-        self._place(pose)
-        self.simulation.restore(state)
-        self.simulation.move_body(self.bodies.positions(pose))
-
     def begin(self, positions: FloatArray, pose: Pose) -> None:
-        """Start from positions [m] that belong to this pose, at rest and without memory of earlier contact."""
+        """Start from a garment that lies still in this pose [m], held by friction."""
         self._place(pose)
         self.simulation.start(positions)
         self.simulation.move_body(self.bodies.positions(pose))
+        self.simulation.hold()
 
     def fractions(self, start: Pose, end: Pose) -> FloatArray:
         """Even steps from one pose to another, none turning a bone further than the settings allow."""
@@ -426,10 +404,19 @@ class Wearer:
         for fraction in self.fractions(start, pose):
             self.follow(pose if fraction == 1.0 else pose_between(self.rig, start, pose, float(fraction)))
 
-    def settle(self) -> dict[str, Any]:
-        """Bring the garment to equilibrium; reports how close it came and how it lies."""
+    def settle(self, tolerance: float | None = None, trapped: float | None = None) -> dict[str, Any]:
+        """Bring the garment to equilibrium; reports how close it came and how it lies.
+
+        Args:
+            tolerance: Residual to stop at, in nodal weights; left out, that of a sample.
+            trapped: Share of the vertices that need not come to rest; left out, that of a sample.
+        """
         settings = self.settings
-        report: SettleReport = self.simulation.settle(settings.settle_tolerance, settings.settle_iterations)
+        report = self.simulation.settle(
+            settings.settle_tolerance if tolerance is None else tolerance,
+            settings.settle_iterations,
+            trapped=settings.trapped if trapped is None else trapped,
+        )
         return {
             "residual": round(report.residual, 4),
             "converged": report.converged,
@@ -453,6 +440,25 @@ class Wearer:
         turns = self.garment.weights.turn(pose.turns(self.rig))
         self.simulation.set_outward(rotations.rotate(turns, self.garment.normals))
         self.simulation.place_pins(self.garment.weights.carry(pose.deformations(self.rig), self.garment.positions))
+
+
+def worn_limbs(rig: Rig, garment: Garment, body: Body) -> Limbs:
+    """The limb that each body triangle belongs to, and those that each garment vertex is worn on: its own, and any that
+    lies within a slide's reach of it.
+
+    Limbs are what the joints of the skeleton divide, whichever of them are sampled.
+    """
+    regions = find_regions(rig, find_joints(rig).found, garment.weights)
+    count = len(regions.segments)
+    of_bone = np.eye(count)[regions.bone_segment]
+    of_triangles = (body.weights @ of_bone)[body.faces].sum(1).argmax(1)
+    worn = np.eye(count, dtype=bool)[regions.vertex_segment]
+    for limb in range(count):
+        triangles = body.faces[of_triangles == limb]
+        if len(triangles):
+            distance = np.abs(bind_to_surface(garment.positions, body.positions, triangles).distance)
+            worn[:, limb] |= distance < SLIDE
+    return Limbs(of_triangles.astype(np.int32), (worn @ (1 << np.arange(count))).astype(np.int32))
 
 
 def limb_directions(rig: Rig, garment: Garment) -> FloatArray:

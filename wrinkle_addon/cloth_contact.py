@@ -44,6 +44,19 @@ class ContactSettings:
             raise ValueError(f"The contact's self_thickness must not be negative, but is {self.self_thickness}.")
 
 
+@dataclass(frozen=True, eq=False)
+class Limbs:
+    """Which parts of the body each part of the garment is worn on, and may touch.
+
+    Attributes:
+        of_triangles: Limb of each body triangle, 0 to 30, shape [body_triangle_count].
+        of_vertices: Limbs that each garment vertex touches, one bit a limb, shape [vertex_count].
+    """
+
+    of_triangles: IntArray
+    of_vertices: IntArray
+
+
 class ContactSearch:
     """Contact planes, friction anchors and self-contact pairs of every world.
 
@@ -62,6 +75,7 @@ class ContactSearch:
         faces: wp.array,
         body_faces: IntArray,
         body_positions: FloatArray,
+        limbs: Limbs | None = None,
     ):
         self.settings = settings
         self._device = area.device
@@ -69,6 +83,9 @@ class ContactSearch:
         self._friction = model.fabric.friction
         self._shape = (len(body_positions), model.vertex_count)
         self._make_body(body_faces, body_positions)
+        limbs = limbs or Limbs(np.zeros(len(body_faces), np.int32), np.full(model.vertex_count, 1, np.int32))
+        self._body_limb = wp.array(limbs.of_triangles, dtype=wp.int32, device=self._device)
+        self._limbs = wp.array(limbs.of_vertices, dtype=wp.int32, device=self._device)
         self._make_planes()
         self._make_pairs(model)
 
@@ -135,6 +152,25 @@ class ContactSearch:
             [c.anchor, c.friction_bound],
         )
 
+    def hold(self, gradient: wp.array) -> None:
+        """Place the anchors of the planes found last so that friction balances a gradient [N] taken without it."""
+        c = self.frozen
+        self._launch(
+            contact.hold_anchors,
+            self._shape,
+            [
+                gradient,
+                self._body_points,
+                self._body_faces,
+                c.face,
+                c.point,
+                c.normal,
+                c.friction_bound,
+                wp.float64(self.settings.slip),
+            ],
+            [self.anchor_face, self.anchor_weights],
+        )
+
     def clearance(self, positions: wp.array) -> NDArray[np.float32]:
         """Signed distance of every vertex to the body [m], negative inside, 1e6 far away."""
         self._find_planes(positions)
@@ -151,9 +187,11 @@ class ContactSearch:
             [
                 positions,
                 self._outward,
+                self._limbs,
                 self._body_ids,
                 self._body_points,
                 self._body_faces,
+                self._body_limb,
                 self._body_normals,
                 settings.radius,
                 settings.thickness,
@@ -175,6 +213,7 @@ class ContactSearch:
             self._rest_points,
             self._faces,
             self._garment_ids,
+            self._outward,
             self_contact.REACH_THICKNESSES * thickness,
             self_contact.REST_THICKNESSES * thickness,
         ]

@@ -29,7 +29,7 @@ class Fabric:
     stretch: float = 120.0
     poisson: float = 0.3
     shear: float = 1.0
-    bending: float = 2.0e-5
+    bending: float = 6.0e-5
     density: float = 0.15
     friction: float = 0.3
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -81,6 +81,18 @@ def find_mirror(rig: Rig, joints: Sequence[Joint], garment: Garment, body: Body)
         return None
     names = {joint.name: by_name.get(other_side(joint.name), joint).name for joint in joints}
     return Mirror(point, normal, vertices, names, signs)
+
+
+def symmetric_limits(joints: Sequence[Joint], mirror: Mirror) -> list[Joint]:
+    """The joints with ranges that hold their own and their mirror image's, so that one side's samples serve both."""
+    limits = {joint.name: joint.limits for joint in joints}
+    result = []
+    for joint in joints:
+        signs = mirror.signs[joint.name][:, None]
+        image = np.sort(signs * limits[mirror.joints[joint.name]], axis=1)
+        low, high = np.minimum(joint.limits[:, 0], image[:, 0]), np.maximum(joint.limits[:, 1], image[:, 1])
+        result.append(replace(joint, limits=np.stack([low, high], 1)))
+    return result
 
 
 def other_side(name: str) -> str:

@@ -2,8 +2,8 @@
 
 Each vertex looks for the closest point of the body. The contact is a plane through that point, frozen while one
 linear system is solved. A body that bends also cuts into itself, in the crook of an elbow or under an arm; there the
-closest surface may be the wrong limb, so a triangle that faces away from the vertex's own outward direction is passed
-over. The force grows with the square law of a spring within the thickness and stays constant deep inside, so that a
+closest surface may be the wrong limb. So a vertex touches only the limbs that it is worn on, and no triangle that faces
+away from the vertex's own outward direction. The force grows with the square law of a spring within the thickness and stays constant deep inside, so that a
 place where no cloth can be free of the body does not tear the rest of the garment.
 """
 
@@ -105,17 +105,25 @@ def face_direction(
 
 
 @wp.func
-def closest_facing_triangle(
+def is_worn(limb: wp.int32, limbs: wp.int32, facing: wp.vec3, outward: wp.vec3, least_cosine: wp.float32) -> wp.bool:
+    """Whether a vertex can touch a triangle: one of its limbs (bits), not facing away from its outward direction."""
+    return (limbs >> limb) & 1 == 1 and wp.dot(facing, outward) > least_cosine
+
+
+@wp.func
+def closest_worn_triangle(
     mesh: wp.uint64,
     points: wp.array2d[wp.vec3],
     faces: wp.array2d[wp.int32],
+    face_limb: wp.array[wp.int32],
     world: wp.int32,
     p: wp.vec3,
+    limbs: wp.int32,
     outward: wp.vec3,
     least_cosine: wp.float32,
     radius: wp.float32,
 ):
-    """The closest triangle within ``radius`` [m] that does not face away from ``outward``; -1 if there is none."""
+    """The closest triangle within ``radius`` [m] that a vertex can touch; -1 if there is none."""
     best = wp.int32(-1)
     best_weights = wp.vec3()
     best_distance = radius
@@ -123,7 +131,8 @@ def closest_facing_triangle(
     query = wp.mesh_query_aabb(mesh, p - reach, p + reach)
     candidate = wp.int32(0)
     while wp.mesh_query_aabb_next(query, candidate):
-        if wp.dot(face_direction(points, faces, world, candidate), outward) > least_cosine:
+        facing = face_direction(points, faces, world, candidate)
+        if is_worn(face_limb[candidate], limbs, facing, outward, least_cosine):
             w = closest_point_on_triangle(
                 p,
                 points[world, faces[candidate, 0]],
@@ -174,9 +183,11 @@ def contact_normal(p: wp.vec3, closest: wp.vec3, outside: wp.vec3) -> wp.vec3:
 def find_body_contacts(
     positions: wp.array2d[wp.vec3d],
     outward: wp.array2d[wp.vec3],
+    limbs: wp.array[wp.int32],
     meshes: wp.array[wp.uint64],
     body_points: wp.array2d[wp.vec3],
     body_faces: wp.array2d[wp.int32],
+    body_limb: wp.array[wp.int32],
     body_normals: wp.array2d[wp.vec3],
     radius: wp.float32,
     thickness: wp.float32,
@@ -197,6 +208,7 @@ def find_body_contacts(
     world, vertex = wp.tid()
     p = wp.vec3(positions[world, vertex])
     out = outward[world, vertex]
+    worn = limbs[vertex]
     first = vertex * PLANES
     face[world, first] = -1
     face[world, first + 1] = -1
@@ -206,9 +218,10 @@ def find_body_contacts(
     if query.result:
         found = query.face
         w = wp.vec3(query.u, query.v, 1.0 - query.u - query.v)
-        if wp.dot(face_direction(body_points, body_faces, world, found), out) <= least_cosine:
-            found, w = closest_facing_triangle(
-                meshes[world], body_points, body_faces, world, p, out, least_cosine, radius
+        facing = face_direction(body_points, body_faces, world, found)
+        if not is_worn(body_limb[found], worn, facing, out, least_cosine):
+            found, w = closest_worn_triangle(
+                meshes[world], body_points, body_faces, body_limb, world, p, worn, out, least_cosine, radius
             )
     if found < 0:
         return
@@ -229,7 +242,8 @@ def find_body_contacts(
     candidate = wp.int32(0)
     while wp.mesh_query_aabb_next(near, candidate):
         facing = face_direction(body_points, body_faces, world, candidate)
-        if wp.dot(facing, direction) < FACING_COSINE and wp.dot(facing, out) > least_cosine:
+        across = wp.dot(facing, direction) < FACING_COSINE
+        if across and is_worn(body_limb[candidate], worn, facing, out, least_cosine):
             v = closest_point_on_triangle(
                 p,
                 body_points[world, body_faces[candidate, 0]],
@@ -372,6 +386,49 @@ def update_anchors(
         if following[world] != 0:
             anchor_face[world, plane] = held_face
             anchor_weights[world, plane] = held_weights
+
+
+@wp.kernel
+def hold_anchors(
+    gradient: wp.array2d[wp.vec3d],
+    body_points: wp.array2d[wp.vec3],
+    body_faces: wp.array2d[wp.int32],
+    face: wp.array2d[wp.int32],
+    point: wp.array2d[wp.vec3d],
+    normal: wp.array2d[wp.vec3d],
+    friction_bound: wp.array2d[wp.float64],
+    slip: wp.float64,
+    # outputs
+    anchor_face: wp.array2d[wp.int32],
+    anchor_weights: wp.array2d[wp.vec3],
+):
+    """Place anchors so that friction balances a gradient [N] that was taken without it, as far as its bounds allow.
+
+    With two planes each takes its share by its bound.
+    """
+    world, vertex = wp.tid()
+    first = vertex * PLANES
+    total = wp.float64(0.0)
+    for k in range(PLANES):
+        total += friction_bound[world, first + k]
+    for k in range(PLANES):
+        plane = first + k
+        if friction_bound[world, plane] > wp.float64(0.0):
+            n = normal[world, plane]
+            g = gradient[world, vertex]
+            # The spring's stiffness is bound / slip, and the plane's share of the load is bound / total.
+            drift = (n * wp.dot(g, n) - g) * (slip / total)
+            length = wp.length(drift)
+            if length > slip:
+                drift = drift * (slip / length)
+            found = face[world, plane]
+            anchor_face[world, plane] = found
+            anchor_weights[world, plane] = plane_weights(
+                wp.vec3(point[world, plane] - drift),
+                body_points[world, body_faces[found, 0]],
+                body_points[world, body_faces[found, 1]],
+                body_points[world, body_faces[found, 2]],
+            )
 
 
 @wp.kernel

@@ -35,10 +35,15 @@ def pair_weights(
     world: wp.int32,
     vertex: wp.int32,
     face: wp.int32,
+    outward: wp.array2d[wp.vec3],
     reach: wp.float32,
     rest_reach: wp.float32,
 ):
-    """Barycentric coordinates of the triangle's closest point, and whether vertex and triangle make a pair."""
+    """Barycentric coordinates of the triangle's closest point, and whether vertex and triangle make a pair.
+
+    Where two limbs cut into each other, so must the cloth on them: a vertex that faces a triangle from behind, on
+    limbs that face each other, is let through. Layers of one limb, such as folds, face the same way and always touch.
+    """
     w = wp.vec3()
     if faces[face, 0] == vertex or faces[face, 1] == vertex or faces[face, 2] == vertex:
         return False, w
@@ -46,9 +51,13 @@ def pair_weights(
     w = closest_point_on_triangle(
         p, points[world, faces[face, 0]], points[world, faces[face, 1]], points[world, faces[face, 2]]
     )
-    distance = wp.length(p - triangle_point(points, faces, world, face, w))
+    away = p - triangle_point(points, faces, world, face, w)
+    distance = wp.length(away)
     # Closer than 0.1 micrometres there is no telling the sides apart.
     if distance >= reach or distance < 1.0e-7:
+        return False, w
+    facing = triangle_point(outward, faces, world, face, w)
+    if wp.dot(outward[world, vertex], facing) < 0.0 and wp.dot(away, facing) < 0.0:
         return False, w
     rest = rest_points[0, vertex]
     r = closest_point_on_triangle(
@@ -63,6 +72,7 @@ def count_pairs(
     rest_points: wp.array2d[wp.vec3],
     faces: wp.array2d[wp.int32],
     meshes: wp.array[wp.uint64],
+    outward: wp.array2d[wp.vec3],
     reach: wp.float32,
     rest_reach: wp.float32,
     # outputs
@@ -76,7 +86,7 @@ def count_pairs(
     candidate = wp.int32(0)
     found = wp.int32(0)
     while wp.mesh_query_aabb_next(query, candidate):
-        near, _w = pair_weights(points, rest_points, faces, world, vertex, candidate, reach, rest_reach)
+        near, _w = pair_weights(points, rest_points, faces, world, vertex, candidate, outward, reach, rest_reach)
         if near:
             found += 1
     pair_count[world * points.shape[1] + vertex] = found
@@ -88,6 +98,7 @@ def fill_pairs(
     rest_points: wp.array2d[wp.vec3],
     faces: wp.array2d[wp.int32],
     meshes: wp.array[wp.uint64],
+    outward: wp.array2d[wp.vec3],
     reach: wp.float32,
     rest_reach: wp.float32,
     pair_start: wp.array[wp.int32],
@@ -109,7 +120,7 @@ def fill_pairs(
     candidate = wp.int32(0)
     end = start
     while wp.mesh_query_aabb_next(query, candidate):
-        near, w = pair_weights(points, rest_points, faces, world, vertex, candidate, reach, rest_reach)
+        near, w = pair_weights(points, rest_points, faces, world, vertex, candidate, outward, reach, rest_reach)
         if near:
             place = end
             while place > start and triangle[place - 1] > candidate:

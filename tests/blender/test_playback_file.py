@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from small_character import TOLERANCE, Arm, Bumps, build_arm, empty_scene, evaluated_positions
 from wrinkle_synthesis.wrinkle_addon.blender import playback
-from wrinkle_synthesis.wrinkle_addon.blender.node_group import find_modifier
+from wrinkle_synthesis.wrinkle_addon.blender.handlers import suspended
+from wrinkle_synthesis.wrinkle_addon.blender.node_group import NO_FRAME, find_modifier, get_input
 
 EVALUATE = """
 import os, sys
@@ -112,6 +113,21 @@ def test_undo_and_redo_show_the_pose_that_came_back(arm: Arm, bumps: Bumps) -> N
         assert shows(now, bumps.shape(pose))
 
 
+def test_undo_of_something_else_shows_the_pose_although_the_mesh_came_back_with_another(arm: Arm, bumps: Bumps) -> None:
+    bpy.context.preferences.edit.use_global_undo = True
+    arm.bend(0.4)
+    bpy.context.view_layer.update()
+    pose = arm.bend(1.2)
+    with suspended():
+        bpy.ops.ed.undo_push(message="posed, not yet played")
+    arm.sleeve.wrinkles.body.location.x = 1.0
+    bpy.ops.ed.undo_push(message="moved something else")
+    assert bpy.ops.ed.undo() == {"FINISHED"}
+    bpy.context.view_layer.update()
+    objects = bpy.data.objects
+    assert shows(Arm(objects["rig"], objects["sleeve"], arm.rig), bumps.shape(pose))
+
+
 def test_edit_mode_is_left_alone_and_playing_goes_on_after_it(arm: Arm, bumps: Bumps) -> None:
     arm.animate([{"elbow_L": [0.1 * k]} for k in range(12)])
     bpy.context.scene.frame_set(3)
@@ -120,6 +136,7 @@ def test_edit_mode_is_left_alone_and_playing_goes_on_after_it(arm: Arm, bumps: B
     for frame in (5, 8):
         bpy.context.scene.frame_set(frame)
         assert playback.status(arm.sleeve).error == ""
+        assert get_input(find_modifier(arm.sleeve), "Frame") == NO_FRAME
     bpy.ops.object.mode_set(mode="OBJECT")
     bpy.context.view_layer.update()
     assert shows(arm, bumps.shape(bumps.pose({"elbow_L": np.array([0.7])})))

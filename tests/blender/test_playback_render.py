@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import bpy
 import numpy as np
 import pytest
 from small_character import Arm, Bumps, build_arm, empty_scene
+from wrinkle_synthesis.wrinkle_addon.blender.handlers import suspended
 from wrinkle_synthesis.wrinkle_addon.rig import Pose
 
 SIZE = 48
@@ -108,7 +111,43 @@ def test_a_still_shows_the_frame_that_was_set_without_stepping_to_it(
     for frame in (4, 2):
         scene.frame_current = frame
         picture = render_still(tmp_path / "still.png")
-        assert difference(picture, expected_picture(arm, bumps.shape(poses[frame - 1]), tmp_path / "expected.png")) < SAME
+        assert (
+            difference(picture, expected_picture(arm, bumps.shape(poses[frame - 1]), tmp_path / "expected.png")) < SAME
+        )
+
+
+RENDER = """
+import os, sys
+import bpy
+import wrinkle_synthesis
+wrinkle_synthesis.register()
+path, out = sys.argv[1:]
+bpy.ops.wm.open_mainfile(filepath=path)
+assert [modifier.type for modifier in bpy.data.objects["sleeve"].modifiers] == ["ARMATURE"]
+bpy.context.scene.render.filepath = out
+bpy.ops.render.render(animation=True)
+os._exit(0)
+"""
+
+
+def test_a_file_that_was_never_played_renders_the_same_in_a_fresh_process(arm: Arm, tmp_path: Path) -> None:
+    """A farm's view: the modifier, the attribute and the mesh of its own come into being within the render."""
+    scene = bpy.context.scene
+    scene.render.engine = "CYCLES"
+    with suspended():
+        bending(arm)
+        twin = arm.sleeve.copy()
+        scene.collection.objects.link(twin)
+        twin.location.y = 0.3
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "arm.blend"))
+    assert arm.sleeve.data == twin.data
+    arguments = [str(tmp_path / "arm.blend"), str(tmp_path / "fresh-####")]
+    subprocess.run([sys.executable, "-c", RENDER, *arguments], check=True, timeout=120)
+    scene.render.filepath = str(tmp_path / "here-####")
+    bpy.ops.render.render(animation=True)
+    for frame in range(1, 5):
+        fresh, here = (alpha(tmp_path / f"{name}-{frame:04}.png") for name in ("fresh", "here"))
+        np.testing.assert_array_equal(fresh, here)
 
 
 def test_a_render_without_the_modifier_shows_the_skinned_garment(arm: Arm, tmp_path: Path) -> None:

@@ -50,6 +50,7 @@ def test_the_repository_is_an_extension(tmp_path: Path) -> None:
     run = subprocess.run(
         [sys.executable, "-c", AS_EXTENSION],
         env={**os.environ, "BLENDER_USER_RESOURCES": str(tmp_path)},
+        check=False,
         capture_output=True,
         text=True,
         timeout=120,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cloth_shapes import sphere, tube
 from dolls import Doll, doll
-from test_joint_wrinkles import baked, bump, full_plan
+from baked_dolls import baked, bump, full_plan
 from wrinkle_synthesis.wrinkle_addon.evaluate import EvaluatedFrame, evaluate
 from wrinkle_synthesis.wrinkle_addon.joint_wrinkles import JointWrinkles
 from wrinkle_synthesis.wrinkle_addon.rig import pose_of_angles

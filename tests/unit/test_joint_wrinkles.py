@@ -1,16 +1,14 @@
 """Synthesis from a wrinkle database: what both formulations promise, on every device there is."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import warp as wp
-from dolls import Doll, ShapedSamples, doll, grid_of
+from baked_dolls import GRID, baked, bump, full_plan
+from dolls import Doll, doll, grid_of
 from synthesis_reference import about_axis, about_point, offsets_over_skinning, papers_form
 from wrinkle_synthesis.wrinkle_addon import rotations
-from wrinkle_synthesis.wrinkle_addon.bake import bake
 from wrinkle_synthesis.wrinkle_addon.database import WrinkleDatabase, skin_frame
 from wrinkle_synthesis.wrinkle_addon.garment import Garment, SkinWeights
 from wrinkle_synthesis.wrinkle_addon.joint_wrinkles import Formulation, JointWrinkles, find_cell
@@ -19,32 +17,6 @@ from wrinkle_synthesis.wrinkle_addon.rig import Pose, pose_from_local_turns, pos
 
 # The kernels are single precision at coordinates of about 1 m.
 SINGLE = 2e-6
-
-GRID = {
-    "elbow_L": ([-30, 0, 30, 60, 90],),
-    "elbow_R": ([-30, 0, 30, 60, 90],),
-    "shoulder_L": ([-40, 0, 40], [-30, 0, 30, 60], [-30, 0, 30, 60]),
-    "shoulder_R": ([-40, 0, 40], [-30, 0, 30, 60], [-30, 0, 30, 60]),
-}
-
-
-def full_plan(character: Doll) -> SamplePlan:
-    return SamplePlan(tuple(grid_of(character.joint(name), *degrees) for name, degrees in GRID.items()))
-
-
-def bump(character: Doll, joint: str, size: float = 0.02):
-    """Offsets of up to ``size`` [m] around a joint, smooth in place and angle."""
-    positions = character.garment.positions
-    distance = np.linalg.norm(positions - character.joint(joint).pivot(character.rig), axis=1)
-    shape = size * np.exp(-((distance / 0.12) ** 2))[:, None] * np.sin(30 * positions + [0.0, 1.0, 2.0])
-    return lambda angles: np.sin(angles).sum() * shape
-
-
-def baked(folder: Path, character: Doll, plan: SamplePlan, bumps: Mapping[str, Any] | None = None) -> WrinkleDatabase:
-    for _ in bake(character.job(plan), ShapedSamples(character, plan, bumps), folder):
-        pass
-    return WrinkleDatabase.open(folder, check_hashes=True)
-
 
 @pytest.fixture(scope="module")
 def character() -> Doll:

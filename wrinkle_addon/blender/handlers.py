@@ -12,6 +12,7 @@ from bpy.app.handlers import persistent
 
 from . import playback
 from .node_group import NO_FRAME, find_modifier, get_input, set_input
+from .write import show_skinned
 
 RENDER_FAILED = 3
 """Exit code of a background process in which a garment could not be played."""
@@ -69,8 +70,21 @@ def play_changes(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None
 
 @persistent
 def forget_file(path: str, unused: object = None) -> None:
-    """Another file was opened."""
+    """Another file was opened; a window shows its garments as saved, skinned, until something is tagged."""
     playback.forget_all()
+    _play_soon()
+
+
+def _play_soon() -> None:
+    if not bpy.app.background:
+        # The window's first evaluation of a file comes after all handlers, and calls none.
+        bpy.app.timers.register(_tag_garments, first_interval=0.0)
+
+
+def _tag_garments() -> None:
+    for ob in bpy.data.objects:
+        if ob.type == "MESH" and ob.wrinkles.enabled:
+            ob.update_tag()
 
 
 @persistent
@@ -119,13 +133,26 @@ classes = ()
 
 def register() -> None:
     """Add the handlers, in place of those of an earlier registration."""
-    unregister()
+    _remove_handlers()
     for name, handler in HANDLERS.items():
         getattr(bpy.app.handlers, name).append(handler)
+    _play_soon()
 
 
 def unregister() -> None:
-    """Remove the handlers, whichever import of this module they come from."""
+    """Remove the handlers; garments go back to their skinned shape."""
+    _remove_handlers()
+    if bpy.app.timers.is_registered(_tag_garments):
+        bpy.app.timers.unregister(_tag_garments)
+    playback.forget_all()
+    # A registration that is taken back while Blender starts has no data to look at.
+    if hasattr(bpy.data, "objects"):
+        for garment, _ in _modifiers():
+            show_skinned(garment)
+
+
+def _remove_handlers() -> None:
+    """Whichever import of this module they come from."""
     for name in HANDLERS:
         handlers = getattr(bpy.app.handlers, name)
         for handler in list(handlers):

@@ -35,13 +35,13 @@ class WRINKLE_PT_play(WrinklePanel, bpy.types.Panel):
         settings = garment.wrinkles
         row = layout.row()
         row.prop(settings, "enabled", text=garment.name)
+        layout.prop(settings, "database", text="")
         column = layout.column()
         column.use_property_split = True
         column.active = settings.enabled
         column.prop(settings, "strength")
         column.prop_search(settings, "mask", garment, "vertex_groups")
         column.prop(settings, "formulation")
-        column.prop(settings, "database")
         if settings.enabled:
             _draw_status(context, layout, garment)
 
@@ -114,7 +114,7 @@ def _draw_joint(context: bpy.types.Context, layout: bpy.types.UILayout, joint: J
 
 
 class WRINKLE_PT_bake(WrinklePanel, bpy.types.Panel):
-    """How the garment is simulated, and the bake itself"""
+    """The bake, and what it samples"""
 
     bl_label = "Bake"
     bl_parent_id = "WRINKLE_PT_play"
@@ -126,23 +126,37 @@ class WRINKLE_PT_bake(WrinklePanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, garment = self.layout, active_garment(context)
         assert garment is not None
-        settings = garment.wrinkles
-        column = layout.column()
-        column.use_property_split = True
-        column.prop(settings, "plan")
-        if settings.plan == "BUDGET":
-            column.prop(settings, "budget")
-        for name in ("use_symmetry", "ease_girth", "ease_length", "stretch", "bending", "density", "friction"):
-            column.prop(settings, name)
-        column.prop_search(settings, "pin_group", garment, "vertex_groups")
         process = running.get(garment.session_uid)
         if process is None:
             layout.operator("wrinkle.bake", icon="RENDER_ANIMATION")
-            return
-        progress = process.progress
-        row = layout.row(align=True)
-        row.progress(factor=progress.done / max(progress.total, 1), text=progress.text)
-        row.operator("wrinkle.cancel_bake", text="", icon="CANCEL")
+        else:
+            progress = process.progress
+            row = layout.row(align=True)
+            row.progress(factor=progress.done / max(progress.total, 1), text=progress.text)
+            row.operator("wrinkle.cancel_bake", text="", icon="CANCEL")
+        column = layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(garment.wrinkles, "plan")
+        if garment.wrinkles.plan == "BUDGET":
+            column.prop(garment.wrinkles, "budget")
+        column.prop(garment.wrinkles, "use_symmetry")
+
+
+class WRINKLE_PT_fabric(WrinklePanel, bpy.types.Panel):
+    """What the garment is made of, and how it is worn"""
+
+    bl_label = "Fabric"
+    bl_parent_id = "WRINKLE_PT_bake"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 - Blender wants a plain set
+
+    def draw(self, context: bpy.types.Context) -> None:
+        garment = active_garment(context)
+        assert garment is not None
+        column = self.layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        for name in ("ease_girth", "ease_length", "stretch", "bending", "density", "friction"):
+            column.prop(garment.wrinkles, name)
+        column.prop_search(garment.wrinkles, "pin_group", garment, "vertex_groups")
 
 
 def _say(context: bpy.types.Context, layout: bpy.types.UILayout, text: str, icon: str = "NONE") -> None:
@@ -155,4 +169,4 @@ def _say(context: bpy.types.Context, layout: bpy.types.UILayout, text: str, icon
         column.label(text=line, icon=icon if number == 0 else "NONE")
 
 
-classes = (WRINKLE_UL_joints, WRINKLE_PT_play, WRINKLE_PT_joints, WRINKLE_PT_bake)
+classes = (WRINKLE_UL_joints, WRINKLE_PT_play, WRINKLE_PT_joints, WRINKLE_PT_bake, WRINKLE_PT_fabric)

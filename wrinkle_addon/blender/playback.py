@@ -231,20 +231,22 @@ def _play_garment(
     only_changes: bool,
 ) -> None:
     if garment.data.is_editmode:
-        # Whatever comes out of edit mode is looked at again.
+        # The artist edits the skinned garment; whatever comes out of edit mode is looked at again.
         _doubt(known)
+        show_skinned(garment)
         return
     if not garment.evaluated_get(depsgraph).is_evaluated or not _is_shown(garment, depsgraph):
         return
-    player = _player(garment, known)
+    source = Source.of(garment)
+    armature = garment.wrinkles.armature.evaluated_get(depsgraph)
+    if not armature.is_evaluated:
+        raise ValueError(
+            f"The armature '{armature.name}' of the garment '{garment.name}' is not in the scene "
+            f"'{depsgraph.scene.name}'; put it there."
+        )
+    player = _player(garment, source, known)
     player.check(garment)
     if player.rig_key not in poses:
-        armature = garment.wrinkles.armature.evaluated_get(depsgraph)
-        if not armature.is_evaluated:
-            raise ValueError(
-                f"The armature '{armature.name}' of the garment '{garment.name}' is not in the scene "
-                f"'{depsgraph.scene.name}'; put it there."
-            )
         poses[player.rig_key] = player.read_pose(armature)
     player.play(garment, poses[player.rig_key], depsgraph, only_changes=only_changes)
 
@@ -257,8 +259,7 @@ def _is_shown(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool
     return modifier.show_render if depsgraph.mode == "RENDER" else modifier.show_viewport
 
 
-def _player(garment: bpy.types.Object, known: Status) -> Player:
-    source = Source.of(garment)
+def _player(garment: bpy.types.Object, source: Source, known: Status) -> Player:
     if known.player is not None and known.player.source == source:
         return known.player
     if known.failed is not None and known.failed[0] == source:
@@ -297,7 +298,7 @@ def doubt(garment: bpy.types.Object) -> None:
 
 
 def doubt_all() -> None:
-    """Undo, redo, or an edited rig: players stay, but trust nothing that they know of the file."""
+    """After undo or redo: players stay, but trust nothing that they know of the file."""
     for known in _statuses.values():
         _doubt(known)
 

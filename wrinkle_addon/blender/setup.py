@@ -14,7 +14,7 @@ from ..garment import Body, SkinWeights, check_surface, skin_garment
 from ..joints import JointSearch, find_joints
 from ..plan import SamplePlan, budget_plan, paper_plan
 from ..rig import FloatArray, Joint, Rig
-from ..symmetry import find_mirror
+from ..symmetry import find_mirror, symmetric_limits
 from .character import SamplingStage, apply, check_objects, read_garment, read_mesh, rig_from_world, sampling_stage
 
 LEAST_VERTICES = 10_000
@@ -260,6 +260,8 @@ def stage_job(garment: bpy.types.Object, stage: SamplingStage, limits: Mapping[s
 def make_plan(settings: Any, rig: Rig, joints: list[Joint], garment, body: Body) -> SamplePlan:
     """The plan that settings ask for."""
     mirror = find_mirror(rig, joints, garment, body) if settings.use_symmetry else None
+    if mirror is not None:
+        joints = symmetric_limits(joints, mirror)
     if settings.plan == "BUDGET":
         return budget_plan(joints, settings.budget, mirror)
     return paper_plan(joints, mirror)

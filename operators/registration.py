@@ -1,0 +1,57 @@
+"""Everything that Blender is told of, in order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from types import ModuleType
+
+import bpy
+
+from ..wrinkle_addon.blender import command, handlers, panels, preferences, properties
+from . import bake, cancel_bake, setup_garment, take_ranges
+
+MODULES: Sequence[ModuleType] = (
+    preferences,
+    properties,
+    setup_garment,
+    take_ranges,
+    bake,
+    cancel_bake,
+    panels,
+    handlers,
+    command,
+)
+"""Each has ``classes``, and ``register`` and ``unregister`` if there is more to do."""
+
+Step = tuple[Callable[[], object], Callable[[], object]]
+
+
+def register() -> None:
+    """Register all modules; if one fails, what was registered before it is taken back."""
+    undo: list[Callable[[], object]] = []
+    try:
+        for do, take_back in _steps():
+            do()
+            undo.append(take_back)
+    except BaseException:
+        for take_back in reversed(undo):
+            take_back()
+        raise
+
+
+def unregister() -> None:
+    """Take everything back, last first."""
+    for _, take_back in reversed(list(_steps())):
+        take_back()
+
+
+def _steps() -> Iterator[Step]:
+    for module in MODULES:
+        for cls in module.classes:
+            yield _class_step(cls)
+        if hasattr(module, "register"):
+            yield module.register, module.unregister
+
+
+def _class_step(cls: type) -> Step:
+    return lambda: bpy.utils.register_class(cls), lambda: bpy.utils.unregister_class(cls)
