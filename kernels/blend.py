@@ -30,6 +30,39 @@ class Offsets:
     offsets: wp.array[wp.vec3]
 
 
+@wp.func
+def join_offsets(total: wp.vec3, products: wp.mat33) -> wp.vec3:
+    """What the joints' offsets do together, from their sum and the sum of their outer products.
+
+    Joints that pull cloth the same way do not pull it twice as far: two raised arms lift a hem hardly more than one.
+    So along the direction of the sum the offsets count by the root of their squares, unless they cancel, where the
+    plain sum is shorter. One joint alone keeps its offset as it is.
+    """
+    length = wp.length(total)
+    if length == 0.0:
+        return total
+    direction = total / length
+    together = wp.sqrt(wp.dot(direction, products * direction))
+    return wp.min(length, together) * direction
+
+
+@wp.kernel
+def join_all_offsets(
+    offsets: wp.array2d[wp.vec3],
+    # outputs
+    joined: wp.array[wp.vec3],
+):
+    """Offsets of every joint, shape [joint_count, vertex_count], joined on every vertex [m]."""
+    vertex = wp.tid()
+    total = wp.vec3()
+    products = wp.mat33()
+    for joint in range(offsets.shape[0]):
+        offset = offsets[joint, vertex]
+        total += offset
+        products += wp.outer(offset, offset)
+    joined[vertex] = join_offsets(total, products)
+
+
 @wp.kernel
 def blend_offsets(
     first: wp.int32,
@@ -44,22 +77,25 @@ def blend_offsets(
     # outputs
     positions: wp.array[wp.vec3],
 ):
-    """p(v) = x(v) + Q(v) sum over joints of strength_J phi_J(v) delta_J(v, a_J) [m].
+    """p(v) = x(v) + Q(v) d(v), d joined from strength_J phi_J(v) delta_J(v, a_J) of all joints [m].
 
     Vertices from ``first`` on; each thread of a split launch has its own part. ``placement`` holds the three rows of
     the matrix that takes rig space to the space asked for.
     """
     vertex = first + wp.tid()
     total = wp.vec3()
+    products = wp.mat33()
     for entry in range(samples.entry_start[vertex], samples.entry_start[vertex + 1]):
         joint = samples.entry_joint[entry]
         factor = strength[joint] * samples.entry_window[entry]
         if factor != 0.0:
-            total += factor * interpolate_offset(
+            offset = factor * interpolate_offset(
                 samples.offsets, samples.entry_place[entry], corner_start, corner_weight, joint
             )
-    q = skinned_turn(skin, turns, vertex)
-    positions[vertex] = transform(placement, 0, skinned_position(skin, matrices, vertex) + wp.quat_rotate(q, total))
+            total += offset
+            products += wp.outer(offset, offset)
+    d = wp.quat_rotate(skinned_turn(skin, turns, vertex), join_offsets(total, products))
+    positions[vertex] = transform(placement, 0, skinned_position(skin, matrices, vertex) + d)
 
 
 @wp.struct

@@ -48,13 +48,14 @@ def about_axis(p0: Array, p1: Array, origin: Array, axis: Array, t: float) -> Ar
 
 
 def offsets_over_skinning(method: JointWrinkles, pose: Pose, strength: Mapping[str, float] | None = None) -> Array:
-    """p = x + Q sum phi_J delta_J, multilinear over each joint's grid."""
+    """p = x + Q d, where d joins phi_J delta_J of all joints, multilinear over each joint's grid."""
     database, header = method.database, method.header
     skinned, turns = skin_frame(header.rig, header.garment.weights, database.rest, pose)
-    total = np.zeros_like(skinned)
+    offsets = []
     for name, angles in joint_angles(header.rig, header.joints, pose).items():
         grid = header.plan.grid[name]
         cell = find_cell(grid, angles)
+        offset = np.zeros_like(skinned)
         factor = (strength or {}).get(name, 1.0)
         for bits in np.ndindex(*[2] * len(angles)):
             node = tuple(cell.upper[k] if bit else cell.lower[k] for k, bit in enumerate(bits))
@@ -62,8 +63,18 @@ def offsets_over_skinning(method: JointWrinkles, pose: Pose, strength: Mapping[s
             if node != grid.rest:
                 stored = database.sample(Sample(name, node))
                 window = method.window(name)[stored.vertices].astype(float)[:, None]
-                total[stored.vertices] += factor * weight * window * stored.offsets
-    return skinned + rotations.rotate(turns, total)
+                offset[stored.vertices] += factor * weight * window * stored.offsets
+        offsets.append(offset)
+    return skinned + rotations.rotate(turns, joined(np.stack(offsets)))
+
+
+def joined(offsets: Array) -> Array:
+    """The plain sum of offsets, shape [joint_count, n, 3], but no longer than the root of squares along it."""
+    total = offsets.sum(0)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    direction = total / np.where(length > 0.0, length, 1.0)
+    along = (offsets * direction).sum(2)
+    return direction * np.minimum(length[:, 0], np.sqrt((along**2).sum(0)))[:, None]
 
 
 def papers_form(method: JointWrinkles, pose: Pose) -> Array:

@@ -1,8 +1,8 @@
 """Method 1: a wrinkle database sampled joint by joint (Wang, Hecht, Ramamoorthi, O'Brien 2010).
 
-Two formulations from one database. ``OFFSETS`` interpolates offsets over skinning and adds up the joints; it is the
-default, because it follows bones that were not sampled and has no seams. ``PAPER`` interpolates positions along arcs
-(eq 1 to 3) and averages the joints' meshes by distance to the neighbouring regions (eq 4). ``NEAREST`` adds up the
+Two formulations from one database. ``OFFSETS`` interpolates offsets over skinning and joins those of all joints; it is
+the default, because it follows bones that were not sampled and has no seams. ``PAPER`` interpolates positions along arcs
+(eq 1 to 3) and averages the joints' meshes by distance to the neighbouring regions (eq 4). ``NEAREST`` joins the
 offsets of each joint's nearest sample; it is what the others have to beat.
 """
 
@@ -191,7 +191,10 @@ class JointEvaluator(Evaluator):
 
 
 class OffsetEvaluator(JointEvaluator):
-    """p(v) = x(v) + Q(v) sum over J of phi_J(v) delta_J(v, a_J), or with the nearest sample instead of delta_J(a_J)."""
+    """p(v) = x(v) + Q(v) d(v), where d joins phi_J(v) delta_J(v, a_J) of all joints, or of each one's nearest sample.
+
+    See :func:`..kernels.blend.join_offsets` for how offsets are joined.
+    """
 
     def __init__(self, method: JointWrinkles, device: wp.Device, *, nearest: bool = False):
         super().__init__(method, device)

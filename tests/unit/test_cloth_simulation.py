@@ -263,7 +263,7 @@ def sheet_over_sphere(device, cells=40):
 
 def test_a_sheet_settles_on_a_sphere_without_going_into_it(device):
     simulation = sheet_over_sphere(device)
-    report = simulation.settle(1.0)
+    report = simulation.settle(1.0, 100)
     assert report.converged and report.residual < 1.0
     assert simulation.relative_residual()[0] == pytest.approx(report.residual, rel=0.01)
     assert simulation.clearance().min() > 0.0

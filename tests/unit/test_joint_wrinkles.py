@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 from baked_dolls import GRID, baked, bump, full_plan
 from dolls import Doll, doll, grid_of
-from synthesis_reference import about_axis, about_point, offsets_over_skinning, papers_form
+from synthesis_reference import about_axis, about_point, joined, offsets_over_skinning, papers_form
 from wrinkle_synthesis.wrinkle_addon import rotations
 from wrinkle_synthesis.wrinkle_addon.database import WrinkleDatabase, skin_frame
 from wrinkle_synthesis.wrinkle_addon.garment import Garment, SkinWeights
@@ -92,6 +92,21 @@ def test_the_kernel_agrees_with_the_reference(character: Doll, wrinkled: Wrinkle
         strength = {name: float(rng.random() * 1.5) for name in GRID}
         reference = offsets_over_skinning(method, pose, strength)
         assert np.abs(evaluator.positions(pose, strength) - reference).max() < SINGLE
+
+
+def test_joints_that_pull_the_same_way_do_not_pull_twice():
+    up, down, aside = np.array([[[0.0, 0.0, 3.0]]]), np.array([[[0.0, 0.0, -1.0]]]), np.array([[[4.0, 0.0, 0.0]]])
+    for offsets, expected in (
+        ([up], 3.0),
+        ([up, up], 3.0 * np.sqrt(2.0)),
+        # What cancels is added up plainly.
+        ([up, down], 2.0),
+        ([up, -up], 0.0),
+        ([up, np.zeros_like(up)], 3.0),
+        # Across each other: each counts by its share along the sum, (9 + 16) / 5 would be the plain one.
+        ([up, aside], np.hypot(9.0, 16.0) / 5.0),
+    ):
+        assert np.isclose(np.linalg.norm(joined(np.concatenate(offsets))), expected)
 
 
 @pytest.mark.parametrize("formulation", [Formulation.OFFSETS, Formulation.PAPER])

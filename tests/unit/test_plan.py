@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from dolls import doll, grid_of
 from skeletons import human
-from wrinkle_synthesis.wrinkle_addon.joints import find_joints
+from wrinkle_synthesis.wrinkle_addon.joints import find_joints, with_ranges
 from wrinkle_synthesis.wrinkle_addon.plan import (
     Sample,
     SamplePlan,
@@ -101,21 +101,30 @@ def test_a_joint_of_the_middle_is_simulated_to_one_side():
         assert parent is None or plan.image(parent) is None
 
 
-@pytest.mark.parametrize("budget", [30, 36, 100, 300])
+@pytest.mark.parametrize("budget", [1, 6, 36, 100, 300])
 def test_a_budget_is_kept_and_used(budget: int):
-    joints = doll().joints
-    if budget < len(budget_plan(joints, 1000).simulated):
-        plan = symmetric_plan(budget)
-        assert len(plan.simulated) <= budget
-        assert len(plan.simulated) > 0.6 * budget
-        for grid in plan.grids:
-            for limits, angles in zip(grid.joint.limits, grid.angles, strict=True):
-                assert np.allclose([angles[0], angles[-1]], limits)
+    plan = symmetric_plan(budget)
+    assert 0.6 * budget < len(plan.simulated) <= budget
+    for grid in plan.grids:
+        for (low, high), angles in zip(grid.joint.limits, grid.angles, strict=True):
+            # A side of a range that has samples has one at its end.
+            assert angles[0] == 0.0 or np.isclose(angles[0], low)
+            assert angles[-1] == 0.0 or np.isclose(angles[-1], high)
 
 
-def test_a_budget_below_the_ends_of_the_ranges_is_refused():
-    with pytest.raises(ValueError, match="more than the 5 allowed"):
-        budget_plan(doll().joints, 5)
+def test_a_budget_goes_first_to_where_cloth_moves_most():
+    limits = {"elbow_L": [(0, 90)], "shoulder_L": [(-20, 20), (-10, 100), (-50, 50)]}
+    joints = [with_ranges(doll().joint(name), degrees) for name, degrees in limits.items()]
+    few = budget_plan(joints, 8).grid
+    assert few["shoulder_L"].shape[1] > 2 and few["shoulder_L"].shape[0] == 1
+    many = budget_plan(joints, 60).grid
+    assert all(a <= b for name in limits for a, b in zip(few[name].shape, many[name].shape, strict=True))
+    assert many["shoulder_L"].shape[1] > many["shoulder_L"].shape[0] > 1
+
+
+def test_an_empty_budget_is_refused():
+    with pytest.raises(ValueError, match="at least one sample"):
+        budget_plan(doll().joints, 0)
 
 
 def test_both_sides_of_a_budget_plan_have_the_same_grid_without_symmetry_too():
