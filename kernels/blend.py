@@ -31,8 +31,14 @@ class Offsets:
 
 
 @wp.func
-def join_offsets(total: wp.vec3, products: wp.mat33) -> wp.vec3:
-    """What the joints' offsets do together, from their sum and the sum of their outer products.
+def mixed_products(offset: wp.vec3) -> wp.vec3:
+    """yz, zx and xy: what the outer product of an offset holds beside its squares."""
+    return wp.vec3(offset[1] * offset[2], offset[2] * offset[0], offset[0] * offset[1])
+
+
+@wp.func
+def join_offsets(total: wp.vec3, squares: wp.vec3, mixed: wp.vec3) -> wp.vec3:
+    """What the joints' offsets do together, from their sum and the sums of their squares and mixed products.
 
     Joints that pull cloth the same way do not pull it twice as far: two raised arms lift a hem hardly more than one.
     So along the direction of the sum the offsets count by the root of their squares, unless they cancel, where the
@@ -42,8 +48,8 @@ def join_offsets(total: wp.vec3, products: wp.mat33) -> wp.vec3:
     if length == 0.0:
         return total
     direction = total / length
-    together = wp.sqrt(wp.dot(direction, products * direction))
-    return wp.min(length, together) * direction
+    along = wp.dot(wp.cw_mul(direction, direction), squares) + 2.0 * wp.dot(mixed_products(direction), mixed)
+    return wp.min(length, wp.sqrt(wp.max(along, 0.0))) * direction
 
 
 @wp.kernel
@@ -55,12 +61,14 @@ def join_all_offsets(
     """Offsets of every joint, shape [joint_count, vertex_count], joined on every vertex [m]."""
     vertex = wp.tid()
     total = wp.vec3()
-    products = wp.mat33()
+    squares = wp.vec3()
+    mixed = wp.vec3()
     for joint in range(offsets.shape[0]):
         offset = offsets[joint, vertex]
         total += offset
-        products += wp.outer(offset, offset)
-    joined[vertex] = join_offsets(total, products)
+        squares += wp.cw_mul(offset, offset)
+        mixed += mixed_products(offset)
+    joined[vertex] = join_offsets(total, squares, mixed)
 
 
 @wp.kernel
@@ -84,7 +92,8 @@ def blend_offsets(
     """
     vertex = first + wp.tid()
     total = wp.vec3()
-    products = wp.mat33()
+    squares = wp.vec3()
+    mixed = wp.vec3()
     for entry in range(samples.entry_start[vertex], samples.entry_start[vertex + 1]):
         joint = samples.entry_joint[entry]
         factor = strength[joint] * samples.entry_window[entry]
@@ -93,8 +102,9 @@ def blend_offsets(
                 samples.offsets, samples.entry_place[entry], corner_start, corner_weight, joint
             )
             total += offset
-            products += wp.outer(offset, offset)
-    d = wp.quat_rotate(skinned_turn(skin, turns, vertex), join_offsets(total, products))
+            squares += wp.cw_mul(offset, offset)
+            mixed += mixed_products(offset)
+    d = wp.quat_rotate(skinned_turn(skin, turns, vertex), join_offsets(total, squares, mixed))
     positions[vertex] = transform(placement, 0, skinned_position(skin, matrices, vertex) + d)
 
 

@@ -33,9 +33,9 @@ def interpolate_offset(
     total = wp.vec3()
     for corner in range(CORNERS):
         start = corner_start[joint, corner]
-        if start < 0:
-            break
-        total += corner_weight[joint, corner] * offsets[start + place]
+        # Without a break the loop is unrolled.
+        if start >= 0:
+            total += corner_weight[joint, corner] * offsets[start + place]
     return total
 
 

@@ -62,7 +62,7 @@ class WRINKLE_OT_setup_garment(bpy.types.Operator):
 
 def _notes(result: SetupResult) -> list[str]:
     """Sentences on joints that were not found, with the bones that were considered, and on deceiving names."""
-    notes = list(result.search.notes)
+    notes = list(result.notes)
     for name, missing in result.search.missing.items():
         considered = f" Considered: {', '.join(missing.considered)}." if missing.considered else ""
         notes.append(f"{name}: {missing.reason}{considered}")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import bpy
 
+from ..wrinkle_addon.blender.garment_joints import take_ranges
 from ..wrinkle_addon.blender.handlers import suspended
 from ..wrinkle_addon.blender.properties import active_garment
-from ..wrinkle_addon.blender.verbs import take_ranges
 
 
 class WRINKLE_OT_take_ranges(bpy.types.Operator):

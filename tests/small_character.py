@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from synthesis_reference import joined
 from wrinkle_synthesis.wrinkle_addon import rotations
 from wrinkle_synthesis.wrinkle_addon.bake import BakeJob, BakeSettings, SampleShape, bake
 from wrinkle_synthesis.wrinkle_addon.blender.armature import apply_motion, read_rig
@@ -77,11 +78,11 @@ class Bumps:
         garment, rig = self.job.garment, self.job.rig
         skinned, turns = skin_frame(rig, garment.weights, self.rest().positions, pose)
         bone_turns = pose.turns(rig)
-        total = np.zeros_like(skinned)
+        offsets = []
         for joint in self.job.header.joints:
             amount = joint.angles(rig, bone_turns) @ [1.0, 2.0, -1.0][: joint.dof]
-            total += (strength or {}).get(joint.name, 1.0) * amount * self._bump(joint)
-        return skinned + rotations.rotate(turns, total)
+            offsets.append((strength or {}).get(joint.name, 1.0) * amount * self._bump(joint))
+        return skinned + rotations.rotate(turns, joined(np.stack(offsets)))
 
     def _bump(self, joint: Joint) -> FloatArray:
         """Offset per radian [m]: outwards around the elbow, along the arm and upwards around the shoulder."""

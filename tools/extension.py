@@ -77,7 +77,7 @@ def stage_source(wheels: list[Path]) -> None:
 
 
 def run(*command: object) -> None:
-    if subprocess.run([str(part) for part in command]).returncode:
+    if subprocess.run([str(part) for part in command], check=False).returncode:
         sys.exit(f"extension: this failed: {' '.join(map(str, command))}")
 
 

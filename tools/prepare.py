@@ -1,4 +1,4 @@
-"""Make this checkout ready to run: a virtual environment in .venv with everything pinned, and Blender's system libraries.
+"""Make this checkout ready to run: an environment in .venv with everything pinned, and Blender's system libraries.
 
 Needs only Python itself. Runs again in a moment when nothing has changed.
 """
@@ -41,9 +41,13 @@ def main() -> None:
     extras = sys.argv[1] if len(sys.argv) > 1 else "analysis,blender,test"
     python = find_python()
     install_system_libraries()
-    venv = ROOT / ".venv"
+    build_environment(python, ROOT / ".venv", [f"{ROOT}[{extras}]"])
+
+
+def build_environment(python: str, venv: Path, requirements: list[str]) -> None:
+    """A virtual environment with this checkout, which comes first and stays editable, and what else is required."""
     stamp = venv / ".ready"
-    wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + f"{python}{extras}".encode()).hexdigest()
+    wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + f"{python}{requirements}".encode()).hexdigest()
     if stamp.exists() and stamp.read_text() == wanted:
         return
     print(f"Setting up {venv} with {python} ...", flush=True)
@@ -51,7 +55,7 @@ def main() -> None:
     make_environment(python, venv)
     pip = [str(interpreter(venv)), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     run([*pip, "--upgrade", "pip", "setuptools>=77", "wheel"])
-    run([*pip, "--no-build-isolation", "--editable", f"{ROOT}[{extras}]"])
+    run([*pip, "--no-build-isolation", "--editable", *requirements])
     stamp.write_text(wanted)
 
 
@@ -68,7 +72,7 @@ def find_python() -> str:
 
 def make_environment(python: str, venv: Path) -> None:
     """A virtual environment; Debian keeps the means for it in a package of its own."""
-    if subprocess.run([python, "-m", "venv", str(venv)], stdout=subprocess.DEVNULL).returncode == 0:
+    if subprocess.run([python, "-m", "venv", str(venv)], stdout=subprocess.DEVNULL, check=False).returncode == 0:
         return
     shutil.rmtree(venv, ignore_errors=True)
     install_packages([f"{Path(python).name}-venv", "python3-venv"][-1:])
@@ -101,7 +105,7 @@ def install_packages(packages: list[str]) -> None:
         fail(f"System libraries are missing; install them with: sudo sh -c '{command}'")
     print(f"Installing {' '.join(packages)} ...", flush=True)
     environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
-    if subprocess.run(["sh", "-c", command], env=environment, stdout=subprocess.DEVNULL).returncode:
+    if subprocess.run(["sh", "-c", command], env=environment, stdout=subprocess.DEVNULL, check=False).returncode:
         fail(f"Could not install system libraries; try: {command}")
 
 
@@ -110,7 +114,7 @@ def interpreter(venv: Path) -> Path:
 
 
 def run(command: list[str]) -> None:
-    if subprocess.run(command).returncode:
+    if subprocess.run(command, check=False).returncode:
         fail(f"This failed: {' '.join(command)}")
 
 

@@ -15,6 +15,7 @@ import warp as wp
 
 from . import storage
 from .database import (
+    MANIFEST,
     DatabaseHeader,
     WrinkleDatabase,
     expected_files,
@@ -38,7 +39,7 @@ def merge(options: argparse.Namespace) -> Mapping[str, Any]:
 def verify(options: argparse.Namespace) -> Mapping[str, Any]:
     """Compare every file with its hash; what is missing or damaged is the work still to do."""
     folder = _folder(options)
-    if (folder / "manifest.json").exists():
+    if (folder / MANIFEST).exists():
         problems = find_problems(folder, read_manifest(folder))
     else:
         header = _unfinished(folder)
@@ -76,9 +77,14 @@ def info(options: argparse.Namespace) -> Mapping[str, Any]:
     lines = [
         f"{result['garment']}: {result['vertices']} vertices, {result['samples']} samples",
         *(f"  {name}: {' x '.join(map(str, shape))}" for name, shape in joints.items()),
-        f"  {stored / 1e6:.1f} MB of samples, {raw / 1e6:.1f} MB as raw positions "
+        f"  {stored / 1e6:.3g} MB of samples, {raw / 1e6:.3g} MB as raw positions "
         f"({result['times_smaller_than_raw']} times smaller)",
     ]
+    if result["unconverged"]:
+        lines.append(
+            f"  {result['unconverged']} samples did not come to rest; "
+            f"the worst is {result['worst_residual']:.2g} nodal weights from equilibrium"
+        )
     return {**result, "text": "\n".join(lines)}
 
 
@@ -125,12 +131,14 @@ def _folder(options: argparse.Namespace) -> Path:
 
 
 def _unfinished(folder: Path) -> DatabaseHeader:
-    """The header of a database whose manifest is still to be written."""
-    headers = sorted(folder.glob(f"header-*{storage.ARRAY_SUFFIX}"))
-    if not headers:
+    """The header of a database whose manifest is still to be written; of the finished one, if there is no other."""
+    keys = {path.stem.removeprefix("header-") for path in folder.glob(f"header-*{storage.ARRAY_SUFFIX}")}
+    if len(keys) > 1 and (folder / MANIFEST).exists():
+        keys.discard(read_manifest(folder).get("key", ""))
+    if not keys:
         raise StorageError(f"'{folder}' holds no bake; run the bake first.")
-    if len(headers) > 1:
+    if len(keys) > 1:
         raise StorageError(
-            f"'{folder}' holds {len(headers)} different bakes; keep the files of one key and remove the others."
+            f"'{folder}' holds {len(keys)} different bakes; keep the files of one key and remove the others."
         )
-    return DatabaseHeader.read(folder, headers[0].stem.removeprefix("header-"))
+    return DatabaseHeader.read(folder, keys.pop())

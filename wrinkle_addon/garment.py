@@ -172,12 +172,15 @@ def check_surface(name: str, positions: FloatArray, faces: IntArray) -> None:
         raise ValueError(f"The garment '{name}' has no faces; choose a mesh with a surface.")
     if not np.isfinite(positions).all():
         bad = int((~np.isfinite(positions)).any(1).sum())
-        raise ValueError(f"{bad} vertices of the garment '{name}' have positions that are not numbers; repair the mesh.")
+        raise ValueError(
+            f"{bad} vertices of the garment '{name}' have positions that are not numbers; repair the mesh."
+        )
     used = np.zeros(len(positions), bool)
     used[faces] = True
     if not used.all():
         raise ValueError(
-            f"The garment '{name}' has {int((~used).sum())} loose vertices that belong to no face; delete loose geometry."
+            f"The garment '{name}' has {int((~used).sum())} loose vertices that belong to no face; "
+            "delete loose geometry."
         )
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     _, counts = np.unique(edges, axis=0, return_counts=True)
@@ -191,8 +194,18 @@ def check_surface(name: str, positions: FloatArray, faces: IntArray) -> None:
     flat = area < 1e-6 * np.median(area)
     if flat.any():
         raise ValueError(
-            f"The garment '{name}' has {int(flat.sum())} faces without area; merge vertices by distance or dissolve them."
+            f"The garment '{name}' has {int(flat.sum())} faces without area; "
+            "merge vertices by distance or dissolve them."
         )
+
+
+def count_split_vertices(positions: FloatArray, faces: IntArray) -> int:
+    """Vertices on open edges that lie where another one lies: there the mesh only looks sewn, and will come apart."""
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, counts = np.unique(edges, axis=0, return_counts=True)
+    open_vertices = np.unique(edges[counts == 1])
+    _, there = np.unique(np.round(positions[open_vertices] * 1e6), axis=0, return_counts=True)
+    return int(there[there > 1].sum())
 
 
 def check_fit(name: str, positions: FloatArray, body: Body, distance: NDArray[np.float32]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -72,7 +72,12 @@ def find_joints(rig: Rig) -> JointSearch:
 
 
 def make_joint(
-    rig: Rig, name: str, bones: Sequence[str] | str, near: str | None = None, dof: int = 3, body: Anatomy | None = None
+    rig: Rig,
+    name: str,
+    bones: Sequence[str] | str | None = None,
+    near: str | None = None,
+    dof: int = 3,
+    body: Anatomy | None = None,
 ) -> Joint:
     """A joint of the user's choice: a wrist, an ankle, the neck or any other (W14).
 
@@ -82,21 +87,22 @@ def make_joint(
     Args:
         rig: The rig.
         name: The joint's name, "wrist_L"; what stands before _L or _R is its kind.
-        bones: The bones that turn, from the trunk outwards.
+        bones: The bones that turn, from the trunk outwards; left out, those found for a wrist, an ankle or the neck.
         near: The bone that angles are measured against; left out, the parent of the first of ``bones``.
         dof: 1 for a hinge about the bend of the rest pose, or else about the left-right axis; 3 for a ball.
         body: The body found in the rig, to save finding it again.
 
     Raises:
-        ValueError: If a bone is not in the rig, or ``dof`` is neither 1 nor 3.
+        ValueError: If a bone is not in the rig, none was found, the name cannot be a part of a file's name, or ``dof``
+            is neither 1 nor 3.
     """
-    names = (bones,) if isinstance(bones, str) else tuple(bones)
+    if not name.isidentifier():
+        raise ValueError(f"'{name}' cannot be a joint's name; use letters, digits and underscores.")
+    body = body or find_anatomy(rig)
+    names = (bones,) if isinstance(bones, str) else tuple(bones or _found_bones(rig, body, name))
     for bone in (*names, *([near] if near else [])):
         if bone not in rig.index:
             raise ValueError(f"Joint {name} names the bone {bone}, which the rig does not have.")
-    if not names:
-        raise ValueError(f"Joint {name} needs at least one bone.")
-    body = body or find_anatomy(rig)
     indices = [rig.index[bone] for bone in names]
     before = int(body.parents[indices[0]]) if near is None else (rig.index[near] if near else -1)
     kind = name.removesuffix("_L").removesuffix("_R")
@@ -259,6 +265,15 @@ def _spine(rig: Rig, body: Anatomy) -> Joint | None:
     )
 
 
+def _found_bones(rig: Rig, body: Anatomy, name: str) -> list[str]:
+    """Bones of a wrist, an ankle or the neck."""
+    limb = body.limbs.get({"wrist": "arm", "ankle": "leg"}.get(name[:-2], "") + name[-2:])
+    found = body.neck if name == "neck" else (limb.end,) if limb is not None and limb.end >= 0 else ()
+    if not found:
+        raise ValueError(f"No bone was found for joint {name}; name the bones that turn.")
+    return [rig.names[bone] for bone in found]
+
+
 # --- directions for joints of the user's choice --------------------------------------------------------------------
 
 
@@ -341,7 +356,7 @@ def joints_to_json(search: JointSearch) -> dict[str, object]:
 
     A hinge has one axis and one range, a ball three of each (twist, then the swings of :mod:`joint_axes`).
     """
-    described: dict[str, object] = {name: joint and _describe(joint) for name, joint in search.joints.items()}
+    described: dict[str, object] = {name: joint and describe_joint(joint) for name, joint in search.joints.items()}
     described["considered"] = {
         name: {"bones": list(missing.considered), "reason": missing.reason} for name, missing in search.missing.items()
     }
@@ -349,7 +364,8 @@ def joints_to_json(search: JointSearch) -> dict[str, object]:
     return described
 
 
-def _describe(joint: Joint) -> Mapping[str, object]:
+def describe_joint(joint: Joint) -> dict[str, object]:
+    """One joint as JSON, angles in degrees."""
     axes = [[round(float(value), 6) for value in axis] for axis in joint.axes]
     ranges = [[round(float(value), 3) for value in pair] for pair in np.degrees(joint.limits)]
     return {

@@ -10,8 +10,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from armatures import armature_of
 from dolls import doll
+from figures import build_figure
 from small_character import Arm, Bumps, build_arm, empty_scene, evaluated_positions
 from wrinkle_synthesis.wrinkle_addon.blender import bake_process, playback
 from wrinkle_synthesis.wrinkle_addon.blender.bake_process import BakeProcess
@@ -50,25 +50,9 @@ def test_the_panel_is_about_the_active_garment_or_what_the_active_armature_wears
     assert not bpy.ops.wrinkle.bake.poll()
 
 
-def mesh_object(name: str, vertices: np.ndarray, faces: np.ndarray) -> bpy.types.Object:
-    mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata(vertices.tolist(), [], faces.tolist())
-    ob = bpy.data.objects.new(name, mesh)
-    bpy.context.scene.collection.objects.link(ob)
-    return ob
-
-
 def test_setting_up_makes_a_fine_garment_and_finds_its_joints() -> None:
     empty_scene()
-    figure = doll()
-    armature = armature_of(figure.rig)
-    body = mesh_object("body", figure.body.positions, figure.body.faces)
-    for bone, weights in zip(figure.rig.names, figure.body.weights.T, strict=True):
-        group = body.vertex_groups.new(name=bone)
-        for vertex in np.flatnonzero(weights):
-            group.add([int(vertex)], float(weights[vertex]), "REPLACE")
-    body.modifiers.new("Armature", "ARMATURE").object = armature
-    mesh_object("shirt", figure.garment.positions, figure.garment.faces)
+    build_figure(doll())
     assert bpy.ops.wrinkle.setup_garment(garment="shirt", body="body", subdivide=1) == {"FINISHED"}
     garment = active_garment(bpy.context)
     assert garment is not None

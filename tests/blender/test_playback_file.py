@@ -20,7 +20,7 @@ import bpy, numpy as np
 path, frame, sleeve, out, addon = sys.argv[1:]
 if addon == "with":
     import warp as wp
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_WARNING
     import wrinkle_synthesis
     wrinkle_synthesis.register()
 bpy.ops.wm.open_mainfile(filepath=path)

@@ -14,8 +14,9 @@ from pathlib import Path
 
 import bpy
 
+from .command import own_command
+from .files import database_folder
 from .preferences import device_name
-from .verbs import own_command
 
 PATIENCE = 5.0
 """Time that a process gets to end by itself before it is killed [s]."""
@@ -155,17 +156,3 @@ class BakeProcess:
 
 running: dict[int, BakeProcess] = {}
 """Bakes started from the window, by the session_uid of their garment; taking one out stops it."""
-
-
-def database_folder(garment: bpy.types.Object) -> Path:
-    """Folder of the garment's database.
-
-    Raises:
-        ValueError: If none is set, or it is relative to a file that was never saved.
-    """
-    path = garment.wrinkles.database
-    if not path:
-        raise ValueError(f"The garment '{garment.name}' has no database; choose a folder for it.")
-    if path.startswith("//") and not bpy.data.filepath:
-        raise ValueError("The database lies beside the file, and the file was never saved; save it first.")
-    return Path(bpy.path.abspath(path))

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
 from mathutils import Matrix
+from numpy.typing import NDArray
 
 from ..cloth_model import FloatArray, IntArray
 from ..garment import Body, Garment, SkinWeights
@@ -67,7 +69,7 @@ def read_group(ob: bpy.types.Object, name: str) -> np.ndarray:
     return values
 
 
-def apply(matrix: FloatArray, positions: FloatArray) -> FloatArray:
+def apply(matrix: NDArray[np.floating[Any]], positions: FloatArray) -> FloatArray:
     """Points under an affine matrix, shape [count, 3]."""
     return positions @ matrix[:3, :3].T + matrix[:3, 3]
 
@@ -117,6 +119,7 @@ class SamplingStage:
             self._scene.unit_settings.scale_length = bpy.context.scene.unit_settings.scale_length
             self._armature = self._copy_armature(armature)
             self._body = self._copy_body(body)
+            self._name = body.name
             layer = self._scene.view_layers[0]
             layer.update()
             self._evaluated = self._body.evaluated_get(layer.depsgraph)
@@ -234,7 +237,7 @@ class SamplingStage:
         weights = read_weights(self._body, mesh, self.rig)
         if not weights.any():
             raise ValueError(
-                f"The body '{self._body.name}' has no vertex groups named like the deforming bones of its armature; "
+                f"The body '{self._name}' has no vertex groups named like the deforming bones of its armature; "
                 "give it weights first."
             )
         return Body(apply(self._to_rig, positions), faces, weights)
@@ -263,7 +266,8 @@ def read_garment(ob: bpy.types.Object, rig: Rig, to_rig: FloatArray, pin_group: 
     dense = read_weights(ob, ob.data, rig)
     if (dense.sum(1) <= 0.0).any():
         raise ValueError(
-            f"{int((dense.sum(1) <= 0.0).sum())} vertices of the garment '{ob.name}' have no bone weights; set it up again."
+            f"{int((dense.sum(1) <= 0.0).sum())} vertices of the garment '{ob.name}' have no bone weights; "
+            "set it up again."
         )
     in_rig = apply(to_rig @ np.array(ob.matrix_world, np.float64), positions)
     return Garment(ob.name, in_rig, faces, SkinWeights.from_dense(dense), read_group(ob, pin_group))

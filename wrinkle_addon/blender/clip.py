@@ -53,18 +53,22 @@ def parse_frames(text: str) -> list[int]:
     return frames
 
 
-def read_clip(garment: bpy.types.Object, rig: Rig, frames: Sequence[float]) -> Iterator[ClipFrame]:
+def read_clip(
+    garment: bpy.types.Object, rig: Rig, frames: Sequence[float], scale: float | None = None
+) -> Iterator[ClipFrame]:
     """Step the scene through frames, fractions allowed, and read the garment's armature at each; frame kept afterwards.
 
     Args:
         garment: A garment that was set up.
         rig: The rig to read, of the garment's armature.
+        scale: Metres of the rig per unit of the armature's own space; left out, those of the scene.
     """
     scene = bpy.context.scene
     before = scene.frame_current, scene.frame_subframe
     armature = garment.wrinkles.armature
     reader = PoseReader(armature, rig)
-    scale = rig_scale(armature)
+    in_scene = rig_scale(armature)
+    scale = in_scene if scale is None else scale
     units = float(scene.unit_settings.scale_length)
     try:
         for frame in frames:
@@ -80,6 +84,8 @@ def read_clip(garment: bpy.types.Object, rig: Rig, frames: Sequence[float]) -> I
             from_rig = world.copy()
             from_rig[:3, :3] /= scale
             to_garment = np.linalg.inv(np.array(garment.evaluated_get(depsgraph).matrix_world, np.float64)) @ from_rig
-            yield ClipFrame(float(frame), reader.read(evaluated), rigid, to_garment)
+            pose = reader.read(evaluated)
+            pose.matrices[:, :3, 3] *= scale / in_scene
+            yield ClipFrame(float(frame), pose, rigid, to_garment)
     finally:
         scene.frame_set(before[0], subframe=before[1])

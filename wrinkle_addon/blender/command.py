@@ -1,13 +1,26 @@
-"""The second door of the command line: ``blender --background FILE --command wrinkle VERB ...``."""
+"""The second door of the command line, ``blender --background FILE --command wrinkle VERB ...``, from both sides."""
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any
 
 import bpy
 
+from .preferences import PACKAGE
+
 classes = ()
 _handle: Any = None
+
+
+def own_command(verb: str, file: str, *arguments: str) -> list[str]:
+    """The command line that runs a verb on a file in another process, through the door that this one came through."""
+    verb_line = [verb, file, *arguments]
+    if not Path(bpy.app.binary_path).stem.lower().startswith("blender"):
+        return [sys.executable, "-m", "wrinkle_synthesis.wrinkle_addon.cli", *verb_line]
+    # Named here, the add-on is there even where this Blender was started without the user's preferences.
+    return [bpy.app.binary_path, "--background", "--addons", PACKAGE, "--command", "wrinkle", *verb_line]
 
 
 def register() -> None:

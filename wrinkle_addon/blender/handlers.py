@@ -17,20 +17,25 @@ from .write import show_skinned
 RENDER_FAILED = 3
 """Exit code of a background process in which a garment could not be played."""
 
-_suspensions = 0
 _saved_frames: dict[int, float] = {}
 """Frames that modifiers showed when saving began, by the session_uid of the garment."""
 
 
 @contextmanager
 def suspended() -> Iterator[None]:
-    """No playing meanwhile: for whatever steps through frames or poses on its own account."""
-    global _suspensions  # noqa: PLW0603 - handlers have no other place to keep it
-    _suspensions += 1
+    """No playing meanwhile: for whatever steps through frames or poses on its own account.
+
+    The handlers are taken away, not told to do nothing: an interruption that comes while Blender calls one is lost.
+    """
+    playing = ((bpy.app.handlers.frame_change_post, play_frame), (bpy.app.handlers.depsgraph_update_post, play_changes))
+    taken = [(handlers, handler) for handlers, handler in playing if handler in handlers]
+    for handlers, handler in taken:
+        handlers.remove(handler)
     try:
         yield
     finally:
-        _suspensions -= 1
+        for handlers, handler in taken:
+            handlers.append(handler)
 
 
 # --- playing ------------------------------------------------------------------------------------------------------
@@ -43,7 +48,7 @@ def play_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None) ->
     In the background, a garment that cannot be played ends the process: Blender itself would go on rendering wrong
     frames and report success.
     """
-    if _suspensions or depsgraph is None:
+    if depsgraph is None:
         return
     errors = playback.play_scene(scene, depsgraph)
     if errors and bpy.app.background:
@@ -61,7 +66,7 @@ def play_changes(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None
 
     Showing a garment is a change, too, and calls this again; then all is as it was, and nothing is done.
     """
-    if not _suspensions and not bpy.app.is_job_running("RENDER"):
+    if not bpy.app.is_job_running("RENDER"):
         playback.play_scene(scene, depsgraph, only_changes=True)
 
 

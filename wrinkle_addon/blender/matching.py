@@ -13,6 +13,19 @@ REST_TOLERANCE = 1.0e-3
 """Difference of rest matrices that is no change: 1 mm, or 0.06 degrees."""
 
 
+def check_database(garment: bpy.types.Object, header: DatabaseHeader) -> float:
+    """Refuse a database that was not baked for this garment and its rig.
+
+    Returns:
+        Metres of the bake per unit of the armature's own space.
+
+    Raises:
+        ValueError: One sentence that says what differs, and what to do.
+    """
+    check_mesh(garment, header.garment)
+    return match_rig(garment.wrinkles.armature, header)
+
+
 def check_mesh(garment: bpy.types.Object, baked: Garment) -> None:
     """Refuse a garment of another topology than the baked one; its name and its shape do not matter.
 

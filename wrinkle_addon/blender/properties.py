@@ -149,7 +149,7 @@ class GarmentSettings(bpy.types.PropertyGroup):
     active_joint: bpy.props.IntProperty()
     plan: bpy.props.EnumProperty(name="Plan", items=PLANS, default="PAPER")
     budget: bpy.props.IntProperty(
-        name="Samples", default=36, min=2, description="Most samples to simulate; mirror images come for free"
+        name="Samples", default=36, min=1, description="Most samples to simulate; mirror images come for free"
     )
     use_symmetry: bpy.props.BoolProperty(
         name="Symmetry", default=True, description="Simulate one side only where body, garment and rig are symmetric"

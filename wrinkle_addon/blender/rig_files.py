@@ -10,7 +10,7 @@ from ..bvh import read_bvh
 from ..joints import find_joints, joints_to_json
 from ..motion import retarget
 from .armature import apply_motion, read_rig
-from .files import choose_armature, open_character
+from .files import check_output, choose_armature, open_character, save_character
 
 
 def joints_of_file(path: str | Path, armature_name: str | None = None) -> dict[str, object]:
@@ -37,11 +37,7 @@ def animate_file(
         ValueError: If a file cannot be read or written, or clip and character have no joint in common; one sentence.
     """
     clip = read_bvh(clip_path)
-    out_path = Path(out_path)
-    if out_path.suffix.lower() != ".blend":
-        raise ValueError(f"The result is saved as a .blend file, not as {out_path.name}.")
-    if not out_path.parent.is_dir():
-        raise ValueError(f"There is no folder {out_path.parent} to save {out_path.name} in.")
+    check_output(Path(out_path), ".blend")
     open_character(in_path)
     armature = choose_armature(armature_name)
     rig = read_rig(armature)
@@ -50,10 +46,7 @@ def animate_file(
     notes = apply_motion(armature, rig, poses, name=Path(clip_path).stem)
     for scene in armature.users_scene:
         set_playback(scene, len(poses), clip.fps)
-    try:
-        bpy.ops.wm.save_as_mainfile(filepath=str(out_path.resolve()))
-    except RuntimeError as error:
-        raise ValueError(f"{out_path.name} could not be saved: {' '.join(str(error).split())}") from error
+    save_character(Path(out_path))
     return {
         "armature": armature.name,
         "frames": len(poses),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +9,18 @@ import bpy
 import numpy as np
 
 from ..bake import BakeJob
-from ..garment import Body, SkinWeights, check_surface, skin_garment
+from ..garment import (
+    Body,
+    SkinWeights,
+    bind_to_surface,
+    check_fit,
+    check_surface,
+    count_split_vertices,
+    skin_garment,
+)
 from ..joints import JointSearch, find_joints
 from ..plan import SamplePlan, budget_plan, paper_plan
-from ..rig import FloatArray, Joint, Rig
+from ..rig import Joint, Rig
 from ..symmetry import find_mirror, symmetric_limits
 from .character import SamplingStage, apply, check_objects, read_garment, read_mesh, rig_from_world, sampling_stage
 
@@ -31,12 +38,14 @@ class SetupResult:
     Attributes:
         garment: The object that will wrinkle.
         search: The joints found, and what was considered for the others.
+        notes: Sentences on what was deceiving or is doubtful.
         joints: The joints that move this garment, which will be sampled.
     """
 
     garment: bpy.types.Object
     search: JointSearch
     joints: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def find_armature(garment: bpy.types.Object, body: bpy.types.Object) -> bpy.types.Object | None:
@@ -70,23 +79,28 @@ def setup_garment(
     Raises:
         ValueError: One sentence that says what cannot be used and why.
     """
+    if garment == body:
+        raise ValueError("Garment and body are the same object; choose two.")
     armature = armature or find_armature(garment, body)
     check_objects(garment, body, armature)
     assert armature is not None
-    if garment == body:
-        raise ValueError("Garment and body are the same object; choose two.")
     with sampling_stage(armature, body) as stage:
         check_size(stage)
         mesh = rest_mesh(garment, subdivide)
         try:
+            # The artist's own mesh first: its faults are told in its own numbers.
+            check_surface(garment.name, *read_mesh(garment.data))
             positions, faces = read_mesh(mesh)
             check_surface(garment.name, positions, faces)
             to_rig = rig_from_world(armature) @ np.array(garment.matrix_world, np.float64)
-            weights = skin_garment(apply(to_rig, positions), faces, stage.body)
+            worn = apply(to_rig, positions)
+            distance = bind_to_surface(worn, stage.body.positions, stage.body.faces).distance
+            check_fit(garment.name, worn, stage.body, distance)
+            weights = skin_garment(worn, faces, stage.body)
         except BaseException:
             bpy.data.meshes.remove(mesh)
             raise
-        rig, shape = stage.rig, stage.body
+        rig = stage.rig
     fine = place_copy(garment, mesh) if mesh_differs(garment, mesh) else garment
     if fine is garment:
         bpy.data.meshes.remove(mesh)
@@ -102,7 +116,9 @@ def setup_garment(
         settings.joints.add().store(joint)
     if not settings.database:
         settings.database = f"//{bpy.path.clean_name(garment.name)}.wrinkles"
-    return SetupResult(fine, search, tuple(joint.name for joint in used))
+    split = count_split_vertices(positions, faces)
+    sewn = f"{split} vertices of '{garment.name}' lie where others do and will come apart; merge vertices by distance."
+    return SetupResult(fine, search, tuple(joint.name for joint in used), (*search.notes, *([sewn] if split else [])))
 
 
 def check_size(stage: SamplingStage) -> None:
@@ -114,7 +130,8 @@ def check_size(stage: SamplingStage) -> None:
     size = float(np.ptp(stage.body.positions, axis=0).max())
     if not HEIGHTS[0] < size < HEIGHTS[1]:
         raise ValueError(
-            f"The body is {size:.3g} m tall; set the scene's unit scale, or the armature's, so that it has its true size."
+            f"The body is {size:.3g} m tall; "
+            "set the scene's unit scale, or the armature's, so that it has its true size."
         )
 
 
@@ -220,20 +237,11 @@ def moves(joint: Joint, rig: Rig, weights: SkinWeights, least: float = 0.02) -> 
 # --- from settings to a job ---------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Staged:
-    """A bake that is ready to run, and the stage that its bodies come from."""
-
-    job: BakeJob
-    stage: SamplingStage
-
-
-def stage_job(garment: bpy.types.Object, stage: SamplingStage, limits: Mapping[str, FloatArray] | None = None) -> BakeJob:
+def stage_job(garment: bpy.types.Object, stage: SamplingStage) -> BakeJob:
     """The bake that a garment's settings ask for.
 
     Args:
         stage: A stage of the garment's armature and body.
-        limits: Ranges to use instead of the stored ones [rad], by joint, shape [dof, 2].
 
     Raises:
         ValueError: One sentence, if something in the scene does not fit any more.
@@ -247,12 +255,13 @@ def stage_job(garment: bpy.types.Object, stage: SamplingStage, limits: Mapping[s
         gone = [name for name in (*joint.bones, *([joint.near] if joint.near else [])) if name not in rig.index]
         if gone:
             raise ValueError(
-                f"Joint {joint.name} uses the bone {gone[0]}, which the armature no longer has; set the garment up again."
+                f"Joint {joint.name} uses the bone {gone[0]}, which the armature no longer has; "
+                "set the garment up again."
             )
         if stored.enabled:
             joints.append(joint)
     if not joints:
-        raise ValueError(f"No joint of the garment '{garment.name}' is chosen for sampling.")
+        raise ValueError(f"No joint of the garment '{garment.name}' is chosen for sampling; add or choose one.")
     plan = make_plan(settings, rig, joints, read, stage.body)
     return BakeJob(rig, read, stage.body, plan, settings.bake_settings())
 

@@ -1,0 +1,98 @@
+"""What the demo makes: everything that can be chosen about it, in two sizes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Choices of one demo.
+
+    Attributes:
+        sex, garment, vertex_count: The character and what it wears.
+        clip: A motion-capture clip of :mod:`.motion`.
+        samples: Most samples to simulate.
+        processes: Bakes that run side by side.
+        settled_step: Every how many frames the garment is settled for comparison.
+        simulated: First and last frame of the full simulation; 0 is the clip's end.
+        rows: Frames of the side-by-side picture.
+        picture_size, picture_rays: Its pictures, in pixels and rays a pixel.
+        film_step: Every how many frames of the simulated span are filmed.
+        film_size, film_rays: The film's pictures.
+        film_speed: Share of the true speed at which the film plays.
+        expected: Seconds that each stage is expected to take on two cores, in order.
+    """
+
+    sex: str
+    garment: str
+    vertex_count: int
+    clip: str
+    samples: int
+    processes: int
+    settled_step: int
+    simulated: tuple[int, int]
+    rows: int
+    picture_size: tuple[int, int]
+    picture_rays: int
+    film_step: int
+    film_size: tuple[int, int]
+    film_rays: int
+    film_speed: float
+    expected: dict[str, float]
+
+
+FULL = Recipe(
+    sex="male",
+    garment="shirt",
+    vertex_count=12_000,
+    clip="dance_b",
+    samples=36,
+    processes=2,
+    settled_step=10,
+    simulated=(1, 0),
+    rows=3,
+    picture_size=(540, 600),
+    picture_rays=16,
+    film_step=2,
+    film_size=(360, 400),
+    film_rays=6,
+    film_speed=0.75,
+    expected={
+        "character": 15.0,
+        "set-up": 10.0,
+        "bake": 500.0,
+        "synthesis": 10.0,
+        "references": 240.0,
+        "errors": 20.0,
+        "pictures": 90.0,
+        "film": 300.0,
+    },
+)
+QUICK = Recipe(
+    sex="male",
+    garment="shirt",
+    vertex_count=4_000,
+    clip="dance_b",
+    samples=6,
+    processes=2,
+    settled_step=25,
+    simulated=(18, 30),
+    rows=2,
+    picture_size=(288, 320),
+    picture_rays=8,
+    film_step=3,
+    film_size=(234, 260),
+    film_rays=4,
+    film_speed=0.3,
+    expected={
+        "character": 10.0,
+        "set-up": 10.0,
+        "bake": 45.0,
+        "synthesis": 8.0,
+        "references": 40.0,
+        "errors": 8.0,
+        "pictures": 15.0,
+        "film": 25.0,
+    },
+)

@@ -1,0 +1,295 @@
+"""The demo, end to end: a dressed character, its bake, a clip played with wrinkles, references, pictures, a report.
+
+Everything is done as an artist would do it, by the verbs of the command line. Each stage leaves its result in the
+output folder, and another run goes on after the last one that is there.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from . import packages
+from .command import Listener, Verb, run_verb
+from .motion import write_clip
+from .picture import compose, make_film
+from .progress import Progress
+from .recipe import FULL, QUICK, Recipe
+from .rendering import quiet, render_frames
+from .report import describe_machine, write_report
+from .results import Results
+from .scene import FRAMES_PER_SECOND, build_character
+from .studio import make_live, make_playback, make_skinned
+
+COLUMNS = {"skinning": "Skinning alone", "synthesis": "Wrinkle Synthesis", "simulation": "Full simulation"}
+FILM_REPEATS = 3
+
+
+def run_demo(out: Path, quick: bool = False) -> dict[str, Any]:
+    """Run the demo, or go on with it.
+
+    Args:
+        out: Folder for the results.
+        quick: Few samples of a coarse garment, in minutes.
+
+    Returns:
+        The report, and ``text``, where to look.
+
+    Raises:
+        ValueError: One sentence, if a stage fails; what is done stays.
+    """
+    demo = Demo(Path(out), QUICK if quick else FULL)
+    report: dict[str, Any] = {}
+    for stage, work in demo.stages.items():
+        demo.progress.begin(stage)
+        with demo.results.timed(stage):
+            found = work()
+        demo.progress.end(found.pop("note", ""))
+        report |= found
+    return demo.finish(report)
+
+
+class Demo:
+    """One demo at work; each stage is a method that returns what the report shall hold of it, and a note.
+
+    Attributes:
+        stages: Names and methods, in order.
+    """
+
+    def __init__(self, out: Path, recipe: Recipe):
+        self.out, self.recipe = out, recipe
+        self.results = Results(out, asdict(recipe))
+        self.progress = Progress(recipe.expected)
+        self.stages: dict[str, Callable[[], dict[str, Any]]] = {
+            "character": self.make_character,
+            "set-up": self.set_up,
+            "bake": self.bake,
+            "synthesis": self.synthesize,
+            "references": self.make_references,
+            "errors": self.measure,
+            "pictures": self.picture,
+            "film": self.film,
+        }
+        self._scene, self._log = out / "scene.blend", out / "log.txt"
+        self._caches = {name: out / f"{name}.pc2" for name in COLUMNS}
+
+    # --- stages ---------------------------------------------------------------------------------------------------
+
+    def make_character(self) -> dict[str, Any]:
+        """The character's .blend file and the clip, from the pinned packages."""
+        recipe = self.recipe
+
+        def make() -> dict[str, Any]:
+            for package in (packages.BODY, packages.MOTION):
+                packages.package_folder(package)
+            with quiet():
+                build_character(self.out / "character.blend", recipe.sex, (recipe.garment,), recipe.vertex_count)
+            write_clip(recipe.clip, self.out / "clip.bvh", FRAMES_PER_SECOND)
+            return {}
+
+        return self.results.keep("character", make)
+
+    def set_up(self) -> dict[str, Any]:
+        """`animate`, `setup` and `plan`."""
+        recipe, out = self.recipe, self.out
+
+        def make() -> dict[str, Any]:
+            animated = self._run(
+                "animate", out / "character.blend", "--motion", out / "clip.bvh", "--out", out / "animated.blend"
+            )
+            self.progress.update(0.3)
+            setup = self._run(
+                "setup", out / "animated.blend", "--garment", recipe.garment, "--body", "body", "--subdivide", "0",
+                "--ranges", f"1:{animated['frames']}", "--samples", str(recipe.samples), "--out", self._scene,
+            )  # fmt: skip
+            self.progress.update(0.8)
+            return {"frames": animated["frames"], "setup": setup, "plan": self._run("plan", self._scene)}
+
+        made = self.results.keep("set-up", make)
+        setup, plan = made["setup"], made["plan"]
+        note = f"{setup['vertices']} vertices, {len(setup['sampled'])} joints, {plan['simulated']} samples to simulate"
+        return {**made, "note": note}
+
+    def bake(self) -> dict[str, Any]:
+        """`bake`, which goes on by itself, and `info`."""
+        total = self.results.read("set-up")["plan"]["simulated"]
+
+        def listen(line: str) -> None:
+            event = json.loads(line) if line.startswith("{") else {}
+            if event.get("event") == "sample":
+                done = min(event["done"], total)
+                self.progress.update(done / total, f"sample {done} of {total}")
+
+        def make() -> dict[str, Any]:
+            workers = ("--workers", str(self.recipe.processes))
+            self._run("bake", self._scene, *workers, "--progress", "json", listen=listen)
+            return self._run("info", self.out / f"{self.recipe.garment}.wrinkles")
+
+        database = self.results.keep("bake", make)
+        return {
+            "database": database,
+            "note": f"{database['samples']} samples, {database['sample_bytes'] / 1e6:.1f} MB",
+        }
+
+    def synthesize(self) -> dict[str, Any]:
+        """`synthesize` with wrinkles and without, and the file that plays them live."""
+        skinned = self.out / "skinned.blend"
+
+        def make() -> dict[str, Any]:
+            with quiet():
+                make_skinned(self._scene, self.recipe.garment, skinned)
+            self._run("synthesize", skinned, "--out", self._caches["skinning"])
+            skinned.unlink()
+            self.progress.update(0.5)
+            made = self._run("synthesize", self._scene, "--out", self._caches["synthesis"])
+            return {"clamped_deg": made["clamped_deg"]}
+
+        return self.results.keep("synthesis", make)
+
+    def make_references(self) -> dict[str, Any]:
+        """`simulate --fine` and `evaluate --reference settle`, side by side."""
+        step = self.recipe.settled_step
+        settled_count, simulated_count = -(-self._frame_count // step), len(self._simulated)
+
+        def make() -> dict[str, Any]:
+            simulation = Verb(
+                [
+                    "simulate",
+                    self._scene,
+                    "--fine",
+                    "--frames",
+                    _span(self._simulated),
+                    "--out",
+                    self._caches["simulation"],
+                ],
+                self._log,
+            )
+            try:
+                settled = self._run(
+                    "evaluate", self._scene, "--frames", f"1:{self._frame_count}:{step}",
+                    "--plots", self.out / "plots" / "settle", listen=self._frames_told(settled_count, 0.0, 0.5),
+                )  # fmt: skip
+                simulation.result(self._frames_told(simulated_count, 0.5, 1.0))
+            finally:
+                simulation.stop()
+            return settled
+
+        return {"settle": self.results.keep("settle", make)}
+
+    def measure(self) -> dict[str, Any]:
+        """`evaluate` against the recorded simulation."""
+
+        def make() -> dict[str, Any]:
+            return self._run(
+                "evaluate", self._scene, "--reference", self._caches["simulation"], "--frames", _span(self._simulated),
+                "--plots", self.out / "plots" / "simulate", listen=self._frames_told(len(self._simulated), 0.0, 1.0),
+            )  # fmt: skip
+
+        simulated, settled = self.results.keep("simulate", make), self.results.read("settle")
+        note = f"RMS {_errors(settled)} against the equilibrium, {_errors(simulated)} against the simulation"
+        return {"simulate": simulated, "note": note}
+
+    def picture(self) -> dict[str, Any]:
+        """Side by side, the frames in which skinning is furthest from the simulation."""
+        recipe = self.recipe
+        rows = hardest_frames(self.results.read("simulate")["frames"], recipe.rows)
+
+        def make() -> dict[str, Any]:
+            with quiet():
+                for make_file, name in ((make_live, "wrinkles.blend"), (make_playback, "playback.blend")):
+                    make_file(self._scene, recipe.garment, self._caches["synthesis"], self.out / name)
+            pictures = self._render(rows, "stills", recipe.picture_size, recipe.picture_rays, close=True)
+            sides = [f"frame {frame}" for frame in rows]
+            compose(pictures, list(COLUMNS.values()), sides, self.out / "side_by_side.png")
+            return {"pictured_frames": rows}
+
+        return self.results.keep("pictures", make)
+
+    def film(self) -> dict[str, Any]:
+        """The same three, over the simulated span."""
+        recipe, folder = self.recipe, self.out / "film"
+
+        def make() -> dict[str, Any]:
+            frames = self._simulated[:: recipe.film_step]
+            rows = self._render(frames, folder.name, recipe.film_size, recipe.film_rays)
+            sheets = [
+                compose([row], list(COLUMNS.values()), [""], folder / f"sheet-{frame:04d}.png")
+                for frame, row in zip(frames, rows, strict=True)
+            ]
+            speed = max(1, round(FRAMES_PER_SECOND * recipe.film_speed / recipe.film_step))
+            make_film(sheets, self.out / "film.mp4", speed, FILM_REPEATS)
+            return {}
+
+        return self.results.keep("film", make)
+
+    def finish(self, report: Mapping[str, Any]) -> dict[str, Any]:
+        """Write the report."""
+        whole = {
+            "recipe": asdict(self.recipe),
+            "machine": describe_machine(self._run("doctor")),
+            "times": self.results.times,
+            **report,
+        }
+        _, as_text = write_report(self.out, whole)
+        text = f"See {as_text}, and side_by_side.png, film.mp4, wrinkles.blend and playback.blend beside it."
+        return {**whole, "text": text}
+
+    # --- what stages share ----------------------------------------------------------------------------------------
+
+    @property
+    def _frame_count(self) -> int:
+        return self.results.read("set-up")["frames"]
+
+    @property
+    def _simulated(self) -> range:
+        """Frames of the full simulation."""
+        first, last = self.recipe.simulated
+        return range(first, min(last or self._frame_count, self._frame_count) + 1)
+
+    def _run(self, *arguments: str | Path, listen: Listener = lambda line: None) -> dict[str, Any]:
+        return run_verb(arguments, self._log, listen)
+
+    def _frames_told(self, count: int, start: float, end: float) -> Listener:
+        """Counts the frames that a verb tells of, as a part of the stage."""
+        done = 0
+
+        def listen(line: str) -> None:
+            nonlocal done
+            if line.startswith("frame "):
+                done += 1
+                self.progress.update(min(start + (end - start) * done / count, 1.0), f"frame {done} of {count}")
+
+        return listen
+
+    def _render(
+        self, frames: Sequence[int], folder: str, size: tuple[int, int], rays: int, close: bool = False
+    ) -> list[list[Path]]:
+        """Pictures of frames, a row each, a column for each cache."""
+        pictures: list[Path] = []
+        count = len(frames) * len(COLUMNS)
+        playback, garment = self.out / "playback.blend", self.recipe.garment
+        for picture in render_frames(playback, garment, self._caches, frames, self.out / folder, size, rays, close):
+            pictures.append(picture)
+            self.progress.update(len(pictures) / count, f"picture {len(pictures)} of {count}")
+        return [pictures[k : k + len(COLUMNS)] for k in range(0, count, len(COLUMNS))]
+
+
+def hardest_frames(frames: Sequence[Mapping[str, Any]], count: int) -> list[int]:
+    """Frames in which skinning is furthest from the reference, well apart from each other, in order."""
+    apart = max(1, len(frames) // (2 * count))
+    chosen: list[int] = []
+    for entry in sorted(frames, key=lambda entry: -entry["rmse_mm"]["skinning"]):
+        if len(chosen) < count and all(abs(entry["frame"] - other) >= apart for other in chosen):
+            chosen.append(int(entry["frame"]))
+    return sorted(chosen)
+
+
+def _span(frames: range) -> str:
+    return f"{frames[0]}:{frames[-1]}"
+
+
+def _errors(result: Mapping[str, Any]) -> str:
+    return f"{result['rmse_mm']['ours']:.1f} mm (skinning {result['rmse_mm']['skinning']:.1f})"

@@ -1,0 +1,215 @@
+"""The verbs that play a clip: synthesize, simulate, evaluate."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bake import BakeJob, Wearer
+from ..database import MANIFEST, WrinkleDatabase
+from ..evaluate import EvaluatedFrame
+from ..evaluate import evaluate as evaluate_frames
+from ..folder_verbs import choose_device
+from ..joint_wrinkles import Formulation, JointWrinkles
+from ..losses import LossFinder, mean_losses
+from ..pc2 import PointCache, write_pc2
+from ..reference import SettledReference, SimulationSettings, simulate_clip
+from ..rig import FloatArray, Pose
+from ..storage import make_folder
+from .character import SamplingStage, apply, sampling_stage
+from .clip import ClipFrame, read_clip
+from .files import check_output
+from .matching import check_database
+from .setup import stage_job
+from .verb_options import find_database, find_frames, find_garment, open_file, say
+
+Shapes = Iterator[tuple[FloatArray, Mapping[str, Any]]]
+"""The garment in rig space [m], shape [vertex_count, 3], frame by frame, and what there is to say of it."""
+
+
+def synthesize(options: argparse.Namespace) -> Mapping[str, Any]:
+    device = choose_device(options.device)
+    check_output(options.out, ".pc2")
+    open_file(options)
+    garment, frames = find_garment(options), find_frames(options, every=True)
+    settings = garment.wrinkles
+    database = WrinkleDatabase.open(find_database(options, garment))
+    scale = check_database(garment, database.header)
+    formulation = Formulation(options.formulation) if options.formulation else Formulation[settings.formulation]
+    evaluator = JointWrinkles(database, formulation).bind(device)
+    clamped: dict[str, float] = {}
+
+    def positions() -> Iterator[NDArray[np.float32]]:
+        for clip in read_clip(garment, database.header.rig, frames, scale):
+            # Strengths may be animated.
+            found = evaluator.positions(clip.pose, settings.strengths())
+            for name, beyond in evaluator.clamped.items():
+                clamped[name] = max(clamped.get(name, 0.0), math.degrees(float(np.abs(beyond).max())))
+            yield apply(clip.rig_to_garment, found.astype(np.float64)).astype(np.float32)
+
+    write_pc2(options.out, database.header.garment.vertex_count, frames[0], positions(), len(frames))
+    text = [f"{len(frames)} frames written to {options.out}."]
+    text += [f"{name} goes {angle:.0f} degrees beyond its samples." for name, angle in clamped.items()]
+    return {"frames": len(frames), "cache": str(options.out), "clamped_deg": clamped, "text": "\n".join(text)}
+
+
+def simulate(options: argparse.Namespace) -> Mapping[str, Any]:
+    if not options.fine:
+        raise ValueError("Only the full simulation is there so far; add --fine.")
+    settings = SimulationSettings(options.substeps, options.pre_roll)
+    device = choose_device(options.device)
+    check_output(options.out, ".pc2")
+    open_file(options)
+    garment, frames = find_garment(options), find_frames(options, every=True)
+    with sampling_stage(garment.wrinkles.armature, garment.wrinkles.body) as stage:
+        job = stage_job(garment, stage)
+        rest = _baked_rest(options, garment, job)
+        clips = list(read_clip(garment, stage.rig, frames))
+        shapes = _simulated(job, stage, clips, rest, settings, device)
+
+        def positions() -> Iterator[NDArray[np.float32]]:
+            for clip, (shape, report) in zip(clips, shapes, strict=True):
+                _say_frame(clip, report)
+                yield apply(clip.rig_to_garment, shape).astype(np.float32)
+
+        write_pc2(options.out, job.garment.vertex_count, frames[0], positions(), len(frames))
+    return {"frames": len(frames), "cache": str(options.out), "text": f"{len(frames)} frames written to {options.out}."}
+
+
+def _baked_rest(options: argparse.Namespace, garment: bpy.types.Object, job: BakeJob) -> FloatArray | None:
+    """The settled rest garment, if it was baked for this very job."""
+    if options.database is None and not garment.wrinkles.database:
+        return None
+    folder = find_database(options, garment)
+    if not (folder / MANIFEST).exists():
+        return None
+    database = WrinkleDatabase.open(folder)
+    return database.rest if database.header.key == job.key else None
+
+
+def _say_frame(clip: ClipFrame, report: Mapping[str, Any]) -> None:
+    details = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in report.items())
+    say(f"frame {clip.frame:g}{': ' if details else ''}{details}")
+
+
+def _simulated(
+    job: BakeJob,
+    stage: SamplingStage,
+    clips: Sequence[ClipFrame],
+    rest: FloatArray | None,
+    settings: SimulationSettings,
+    device: str,
+) -> Shapes:
+    """The full simulation of frames without a gap; the garment settles in the rest pose first if it has not yet."""
+    wearer = Wearer(job.rig, job.garment, job.body, WorldBodies(stage), job.settings, device)
+    if rest is None:
+        wearer.dress()
+        wearer.settle(job.settings.rest_tolerance, trapped=0.0)
+        rest = wearer.positions
+    fps = bpy.context.scene.render.fps / bpy.context.scene.render.fps_base
+    poses = [clip.in_world() for clip in clips]
+    down = np.array([0.0, 0.0, -1.0])
+    for clip, shape in zip(clips, simulate_clip(wearer, rest, poses, down, fps, settings), strict=True):
+        yield apply(np.linalg.inv(clip.rig_to_world), shape.positions), shape.report
+
+
+class WorldBodies:
+    """The body of poses whose bones hold the whole character's motion: posed at its root, then carried rigidly."""
+
+    def __init__(self, stage: SamplingStage):
+        self._stage = stage
+
+    def positions(self, pose: Pose) -> FloatArray:
+        upright, root = pose.with_root_at_rest(self._stage.rig)
+        return apply(root, self._stage.positions(upright))
+
+
+# --- measuring ----------------------------------------------------------------------------------------------------
+
+
+def evaluate(options: argparse.Namespace) -> Mapping[str, Any]:
+    device = choose_device(options.device)
+    cache = None if options.reference in ("settle", "simulate") else PointCache(Path(options.reference))
+    if options.losses and options.reference != "settle":
+        raise ValueError("Losses are told apart at the equilibrium; use --losses with --reference settle.")
+    if options.plots is not None:
+        make_folder(options.plots)
+    open_file(options)
+    garment, frames = find_garment(options), find_frames(options)
+    database = WrinkleDatabase.open(find_database(options, garment))
+    check_database(garment, database.header)
+    if cache is not None:
+        _check_cache(cache, frames, database.header.garment.vertex_count)
+    with sampling_stage(garment.wrinkles.armature, garment.wrinkles.body) as stage:
+        job = stage_job(garment, stage)
+        clips = list(read_clip(garment, stage.rig, frames))
+        if cache is not None:
+            references = _recorded(cache, clips)
+        elif options.reference == "simulate":
+            whole = list(read_clip(garment, stage.rig, range(frames[0], frames[-1] + 1)))
+            shapes = _simulated(job, stage, whole, database.rest, SimulationSettings(), device)
+            references = (shape for clip, shape in zip(whole, shapes, strict=True) if clip.frame in frames)
+        else:
+            references = _settled(job, stage, clips, database, device, losses=options.losses)
+
+        def compared() -> Iterator[EvaluatedFrame]:
+            for clip, (shape, report) in zip(clips, references, strict=True):
+                _say_frame(clip, report)
+                upright, root = clip.pose.with_root_at_rest(stage.rig)
+                yield EvaluatedFrame(clip.frame, clip.pose, shape, apply(root, stage.positions(upright)), report)
+
+        result = evaluate_frames(database, compared(), job.body.faces, device)
+    if options.plots is not None:
+        from ..plots import plot_evaluation
+
+        result["plots"] = [str(path) for path in plot_evaluation(result, options.plots)]
+    rows = [
+        f"{name:10} {value:8.2f} mm RMS  {result['max_mm'][name]:8.2f} mm max"
+        for name, value in result["rmse_mm"].items()
+    ]
+    if options.losses:
+        result["losses_mm"] = mean_losses([frame["reference"]["losses_mm"] for frame in result["frames"]])
+        rows += [f"lost by {name.replace('_', ' ')}: {value:.2f} mm RMS" for name, value in result["losses_mm"].items()]
+    return {**result, "text": "\n".join(rows)}
+
+
+def _settled(
+    job: BakeJob,
+    stage: SamplingStage,
+    clips: Sequence[ClipFrame],
+    database: WrinkleDatabase,
+    device: str,
+    *,
+    losses: bool,
+) -> Shapes:
+    reference = SettledReference(job.rig, job.garment, job.body, stage, job.settings, database.rest, device)
+    finder = LossFinder(database, lambda pose, gravity: reference.at(pose, gravity).positions)
+    for clip in clips:
+        gravity = clip.rig_to_world[:3, :3].T @ np.array([0.0, 0.0, -1.0])
+        shape = reference.at(clip.pose, gravity)
+        found = {"losses_mm": finder.losses(clip.pose, gravity, shape.positions)} if losses else {}
+        yield shape.positions, {**shape.report, **found}
+
+
+def _recorded(cache: PointCache, clips: Sequence[ClipFrame]) -> Shapes:
+    for clip in clips:
+        recorded = cache.frames[round(clip.frame - cache.start)]
+        yield apply(np.linalg.inv(clip.rig_to_garment), recorded.astype(np.float64)), {}
+
+
+def _check_cache(cache: PointCache, frames: Sequence[int], vertex_count: int) -> None:
+    last = cache.start + len(cache.frames) - 1
+    if frames[0] < cache.start or frames[-1] > last:
+        raise ValueError(f"The point cache holds frames {cache.start:g} to {last:g}, not {frames[0]} to {frames[-1]}.")
+    if cache.frames.shape[1] != vertex_count:
+        raise ValueError(
+            f"The point cache has {cache.frames.shape[1]} vertices a frame, the garment {vertex_count}; "
+            "record it from the garment that was baked."
+        )

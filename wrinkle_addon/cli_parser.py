@@ -1,0 +1,180 @@
+"""Every verb of the command line with its options."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+AddVerb = Callable[..., "Parser"]
+
+
+class UsageError(ValueError):
+    """A command line that names no verb, or a verb's options wrongly."""
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that says what is wrong in one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{message[:1].upper()}{message[1:]}; see '{self.prog} --help'.")
+
+
+def build_parser() -> Parser:
+    """The parser; the verb's name comes out as the option "verb".
+
+    Parsing raises :class:`UsageError` with one sentence.
+    """
+    parser = Parser(prog="wrinkle", description="Clothes that wrinkle with every pose.")
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+
+    def add(name: str, text: str, *shared: Parser) -> Parser:
+        verb = verbs.add_parser(name, help=text, description=text, parents=shared)
+        verb.add_argument("--json", action="store_true", help="print one JSON object last on stdout")
+        return verb
+
+    demo = add("demo", "the main job on a real human body: bake, play a clip, pictures, film, report")
+    demo.add_argument("--out", type=Path, default=Path("demo-out"), help="folder for the results")
+    demo.add_argument("--quick", action="store_true", help="at most 6 samples at 4,000 vertices")
+    _add_character_verbs(add)
+    _add_bake_verbs(add)
+    _add_clip_verbs(add)
+    _add_folder_verbs(add)
+    add("doctor", "versions, devices, what works here", _device())
+    return parser
+
+
+# --- the verbs ----------------------------------------------------------------------------------------------------
+
+
+def _add_character_verbs(add: AddVerb) -> None:
+    setup = add("setup", "make a garment ready: weights, joints, settings", _file(), _plan(), _ranges())
+    setup.add_argument("--garment", required=True)
+    setup.add_argument("--body", required=True)
+    setup.add_argument("--armature", help="left out, the one that moves the body")
+    setup.add_argument("--subdivide", type=int, help="levels; left out, until at least 10,000 vertices")
+    setup.add_argument("--joints", help="joints to sample, separated by commas; left out, all that move the garment")
+    setup.add_argument("--ease", metavar="GIRTH,LENGTH", help="extra cloth in percent, such as 3,4")
+    setup.add_argument("--pins", help="vertex group of the garment that is held to the skin")
+    setup.add_argument("--out", type=Path, required=True, help="the .blend file to write")
+
+    joints = add(
+        "joints",
+        "the joints found in a .blend, .glb, .fbx or .bvh file; with --garment or a change, those of a garment",
+        _file(),
+        _ranges(),
+    )
+    joints.add_argument("--armature", help="left out, the only one")
+    joints.add_argument("--garment", help="a garment that was set up; left out with a change, the only one")
+    joints.add_argument(
+        "--add", action="append", default=[], metavar="NAME[=BONE,...]",
+        help="add a ball joint, or give one other bones; a wrist_L, an ankle_R or the neck finds its bones itself",
+    )  # fmt: skip
+    joints.add_argument(
+        "--add-hinge", action="append", default=[], metavar="NAME[=BONE,...]", help="the same for a hinge"
+    )
+    joints.add_argument("--remove", action="append", default=[], metavar="NAME")
+    joints.add_argument(
+        "--range", action="append", default=[], metavar="NAME=LOW:HIGH[,LOW:HIGH,LOW:HIGH]",
+        help="degrees from the rest pose; a ball has twist and two swings",
+    )  # fmt: skip
+    joints.add_argument("--sample", metavar="NAME,...", help="sample these joints and no others")
+    joints.add_argument("--out", type=Path, help="the .blend file to write the changes to")
+
+    animate = add("animate", "play a BVH clip on the character", _file())
+    animate.add_argument("--armature", help="left out, the only one")
+    animate.add_argument("--motion", type=Path, required=True, help="the .bvh file")
+    animate.add_argument("--out", type=Path, required=True, help="the .blend file to write")
+
+
+def _add_bake_verbs(add: AddVerb) -> None:
+    add("check", "what would go wrong, before it does", _file(), _garment())
+
+    plan = add("plan", "samples, bytes and expected time; of another plan on request", _file(), _garment(), _plan())
+    plan.add_argument("--out", type=Path, help="the .blend file to write, with this plan chosen")
+
+    bake = add("bake", "bake, or go on baking", _file(), _garment(), _device())
+    bake.add_argument("--shard", metavar="I/N", help="only the I-th of N parts, I from 0 to N-1")
+    bake.add_argument("--workers", type=int, default=1, help="processes that share the bake on this machine")
+    bake.add_argument("--progress", choices=("text", "json"), default="text")
+
+
+def _add_clip_verbs(add: AddVerb) -> None:
+    clip = (_file(), _garment(), _frames(), _device())
+
+    synthesize = add("synthesize", "play the method into a PC2 point cache", *clip)
+    synthesize.add_argument("--formulation", choices=("offsets", "paper", "nearest"), help="left out, the stored one")
+    synthesize.add_argument("--out", type=Path, required=True, help="the .pc2 file to write")
+
+    simulate = add("simulate", "simulate the clip into a PC2 point cache", *clip)
+    simulate.add_argument("--fine", action="store_true", help="the full simulation of the garment itself")
+    simulate.add_argument("--substeps", type=int, default=4, help="steps a frame")
+    simulate.add_argument("--pre-roll", type=float, default=0.3, help="seconds in the first pose before the clip")
+    simulate.add_argument("--out", type=Path, required=True, help="the .pc2 file to write")
+
+    evaluate = add("evaluate", "errors against a reference", *clip)
+    evaluate.add_argument("--reference", default="settle", help="settle, simulate, or a CACHE.pc2 of the garment")
+    evaluate.add_argument("--losses", action="store_true", help="with settle: tell which part of the method loses what")
+    evaluate.add_argument("--plots", type=Path, help="folder for plots")
+
+
+def _add_folder_verbs(add: AddVerb) -> None:
+    for name, text in (
+        ("merge", "write the manifest of a database whose samples were baked in shards"),
+        ("verify", "what is missing or damaged in a database"),
+        ("info", "what a database holds"),
+    ):
+        verb = add(name, text)
+        verb.add_argument("folder", type=Path, nargs="?", help="the database folder")
+        verb.add_argument("--database", type=Path, help="the same, as an option")
+
+
+# --- options that verbs share -------------------------------------------------------------------------------------
+
+
+def _shared() -> Parser:
+    return Parser(add_help=False)
+
+
+def _file() -> Parser:
+    shared = _shared()
+    shared.add_argument("file", nargs="?", type=Path, help="the .blend file; inside Blender, the open one")
+    return shared
+
+
+def _garment() -> Parser:
+    shared = _shared()
+    shared.add_argument("--garment", help="garment object; left out, the only one that was set up")
+    shared.add_argument("--database", type=Path, help="database folder; left out, the one stored in the file")
+    return shared
+
+
+def _plan() -> Parser:
+    shared = _shared()
+    plan = shared.add_mutually_exclusive_group()
+    plan.add_argument("--full", action="store_true", help="the paper's plan: hinges every 15 degrees, balls every 30")
+    plan.add_argument("--quick", action="store_true", help="the quick plan: at most 36 simulated samples")
+    plan.add_argument("--samples", type=int, help="the best plan with at most this many simulated samples")
+    return shared
+
+
+def _ranges() -> Parser:
+    shared = _shared()
+    shared.add_argument(
+        "--ranges", metavar="FIRST:LAST|ACTION", help="take joint ranges from these frames, or from this action"
+    )
+    shared.add_argument("--margin", type=float, default=5.0, help="degrees added to ranges that are taken")
+    return shared
+
+
+def _frames() -> Parser:
+    shared = _shared()
+    shared.add_argument("--frames", help="FIRST:LAST or FIRST:LAST:STEP; left out, the scene's range")
+    return shared
+
+
+def _device() -> Parser:
+    shared = _shared()
+    shared.add_argument("--device", default="auto", help="Warp device: auto, cpu, cuda:0")
+    return shared
