@@ -1,7 +1,7 @@
 """Interpolation between the samples around a joint's angles.
 
-Offsets over skinning are interpolated multilinearly. Positions, as in Wang et al. 2010, are interpolated along arcs:
-eq 1 about the joint, eq 2 and 3 about an axis (W60-W63, W69).
+Positions, as in Wang et al. 2010, are interpolated along arcs: eq 1 about the joint, eq 2 and 3 about an axis (W60-W63,
+W69). Offsets over skinning are interpolated multilinearly, see :mod:`.blend`.
 """
 
 import warp as wp
@@ -13,30 +13,6 @@ CORNERS = wp.constant(8)
 
 LEAST_LENGTH = wp.constant(1.0e-6)
 """Arms shorter than this [m] have no direction (X01)."""
-
-
-@wp.func
-def interpolate_offset(
-    offsets: wp.array[wp.vec3],
-    place: wp.int32,
-    corner_start: wp.array2d[wp.int32],
-    corner_weight: wp.array2d[wp.float32],
-    joint: wp.int32,
-) -> wp.vec3:
-    """Multilinear interpolation of one vertex's offsets [m].
-
-    Args:
-        place: The vertex's place within each sample of the joint.
-        corner_start: Where each corner's sample begins, -1 past the last corner in use; shape [joint_count, CORNERS].
-        corner_weight: Weights of the corners; the rest sample's offset is zero and left out.
-    """
-    total = wp.vec3()
-    for corner in range(CORNERS):
-        start = corner_start[joint, corner]
-        # Without a break the loop is unrolled.
-        if start >= 0:
-            total += corner_weight[joint, corner] * offsets[start + place]
-    return total
 
 
 @wp.func

@@ -1,4 +1,4 @@
-"""A small character for tests: the human skeleton, a body of tubes around arms and trunk, and a sleeve over both arms."""
+"""A small character for tests: the human skeleton, a body of tubes around arms and trunk, a sleeve over both arms."""
 
 from __future__ import annotations
 
@@ -100,7 +100,8 @@ class Doll:
     def random_pose(self, rng: np.random.Generator) -> Pose:
         """Every joint somewhere in its range."""
         angles = {
-            joint.name: joint.limits[:, 0] + rng.random(joint.dof) * np.ptp(joint.limits, axis=1) for joint in self.joints
+            joint.name: joint.limits[:, 0] + rng.random(joint.dof) * np.ptp(joint.limits, axis=1)
+            for joint in self.joints
         }
         return pose_of_angles(self.rig, self.joints, angles)
 
@@ -115,7 +116,9 @@ def doll(rings: int = 61, around: int = 16, names: tuple[str, ...] = tuple(DEGRE
     body_positions, body_faces = tube_along(arms_path(rig, 1.2), 0.04, 91, 20)
     body = Body(body_positions, body_faces, weights_by_distance(rig, body_positions))
     positions, faces = tube_along(arms_path(rig), 0.055, rings, around)
-    garment = Garment("sleeve", positions, faces, skin_garment(positions, faces, body), np.zeros(len(positions), np.float32))
+    garment = Garment(
+        "sleeve", positions, faces, skin_garment(positions, faces, body), np.zeros(len(positions), np.float32)
+    )
     found = find_joints(rig).joints
     joints = []
     for name in names:

@@ -93,10 +93,14 @@ class DatabaseHeader:
         try:
             if data["format"] != FORMAT:
                 raise StorageError(
-                    f"The database '{folder}' has format {data['format']}, this version reads format {FORMAT}; bake again."
+                    f"The database '{folder}' has format {data['format']}, this version reads {FORMAT}; bake again."
                 )
             rig = Rig(
-                tuple(data["bones"]), arrays["rig_parents"], arrays["rig_rest"], arrays["rig_lengths"], arrays["rig_gravity"]
+                tuple(data["bones"]),
+                arrays["rig_parents"],
+                arrays["rig_rest"],
+                arrays["rig_lengths"],
+                arrays["rig_gravity"],
             )
             weights = SkinWeights(arrays["skin_bones"], arrays["skin_weights"])
             if weights.bones.min() < 0 or weights.bones.max() >= rig.bone_count:
@@ -319,7 +323,7 @@ def write_manifest(folder: Path, header: DatabaseHeader) -> None:
     missing = [path.name for path in files if not path.exists()]
     if missing:
         raise StorageError(
-            f"{len(missing)} of {len(files)} files of the database '{folder}' are still to be baked, first {missing[0]}."
+            f"{len(missing)} of {len(files)} files of the database '{folder}' are still to be baked: {missing[0]}."
         )
     manifest = {
         "format": FORMAT,
@@ -348,7 +352,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise StorageError(f"The manifest of '{folder}' is damaged; bake again, finished samples are kept.")
     if manifest.get("format") != FORMAT:
         raise StorageError(
-            f"The database '{folder}' has format {manifest.get('format')}, this version reads format {FORMAT}; bake again."
+            f"The database '{folder}' has format {manifest.get('format')}, this version reads {FORMAT}; bake again."
         )
     return manifest
 

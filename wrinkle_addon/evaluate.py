@@ -57,7 +57,10 @@ class Candidates:
 
 
 def evaluate(
-    database: WrinkleDatabase, frames: Iterable[EvaluatedFrame], body_faces: NDArray[np.int32] | None, device: str = "cpu"
+    database: WrinkleDatabase,
+    frames: Iterable[EvaluatedFrame],
+    body_faces: NDArray[np.int32] | None,
+    device: str = "cpu",
 ) -> dict[str, Any]:
     """Compare every candidate with a reference over a clip.
 
@@ -96,7 +99,7 @@ def evaluate(
         found = candidates.positions(frame.pose)
         for name, positions in found.items():
             squared[name].append(((positions - frame.reference) ** 2).sum(1))
-            curvature[name].append(float(surface.mean_curvature(positions).sum(dtype=np.float64)))
+            curvature[name].append(float(surface.mean_curvature(positions.astype(np.float64)).sum(dtype=np.float64)))
         curvature["reference"].append(float(surface.mean_curvature(frame.reference).sum(dtype=np.float64)))
         if frame.body is not None and body_faces is not None:
             depth = depth_inside(found[OURS].astype(np.float64), frame.body, body_faces)

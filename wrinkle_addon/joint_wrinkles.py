@@ -1,9 +1,9 @@
 """Method 1: a wrinkle database sampled joint by joint (Wang, Hecht, Ramamoorthi, O'Brien 2010).
 
 Two formulations from one database. ``OFFSETS`` interpolates offsets over skinning and joins those of all joints; it is
-the default, because it follows bones that were not sampled and has no seams. ``PAPER`` interpolates positions along arcs
-(eq 1 to 3) and averages the joints' meshes by distance to the neighbouring regions (eq 4). ``NEAREST`` joins the
-offsets of each joint's nearest sample; it is what the others have to beat.
+the default: it follows bones that were not sampled and has no seams. ``PAPER`` interpolates positions along arcs (eq 1
+to 3) and averages the joints' meshes by distance to the neighbouring regions (eq 4). ``NEAREST`` joins the offsets of
+each joint's nearest sample; it is what the others have to beat.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..kernels.blend import Cells, Offsets, Positions, blend_offsets, blend_positions
+from ..kernels.blend import Cells, Corners, CornerWeights, Offsets, Positions, Sums, blend_offsets, blend_positions
 from ..kernels.interpolate import CORNERS
 from ..kernels.skinning import Skin
 from . import rotations
 from .cloth_model import group
 from .database import WrinkleDatabase
 from .garment import SkinWeights, distances_to_segments
-from .method import Evaluator, Method, SplitLaunch
+from .method import BLOCK_SIZE, Evaluator, Method, SplitLaunch
 from .plan import JointGrid, Sample
 from .rig import FloatArray, Pose, pose_of_angles
 
@@ -149,12 +149,10 @@ class JointEvaluator(Evaluator):
         self._rig = header.rig
         self._joints = header.joints
         self._vertex_count = header.garment.vertex_count
-        self._launch = SplitLaunch(self._vertex_count, device)
         self._skin = upload_skin(method.database.rest, header.garment.weights, device)
         joints, bones = len(self._grids), header.rig.bone_count
         self._matrices = HostArray((3 * bones,), wp.vec4, device)
         self._turns = HostArray((bones,), wp.quat, device)
-        self._corner_start = HostArray((joints, CORNERS), wp.int32, device)
         self._strength = HostArray((joints,), wp.float32, device)
         self._placement = HostArray((3,), wp.vec4, device)
         self.clamped: dict[str, FloatArray] = {}
@@ -199,10 +197,12 @@ class OffsetEvaluator(JointEvaluator):
     def __init__(self, method: JointWrinkles, device: wp.Device, *, nearest: bool = False):
         super().__init__(method, device)
         self._nearest = nearest
-        owners, numbers, places, windows, data = [], [], [], [], []
+        block_size = BLOCK_SIZE if device.is_cpu else 1
+        edges = np.arange(-(-self._vertex_count // block_size) + 1) * block_size
+        owners, entry_starts, windows, data = [], [], [], []
         self._starts: list[dict[tuple[int, ...], int]] = []
-        base = 0
-        for number, grid in enumerate(self._grids):
+        base = entry_count = 0
+        for grid in self._grids:
             name = grid.joint.name
             stored = {index: method.samples[Sample(name, index)] for index in grid.nodes()}
             window = method.window(name)
@@ -217,23 +217,29 @@ class OffsetEvaluator(JointEvaluator):
                 block = np.zeros((len(vertices), 3), np.float32)
                 kept = place[sample.vertices] >= 0
                 block[place[sample.vertices[kept]]] = sample.offsets[kept]
-                starts[index] = base
+                # Counted from the joint's first entry, so that a start plus an entry is a place.
+                starts[index] = base - entry_count
                 base += len(vertices)
                 data.append(block)
             self._starts.append(starts)
             owners.append(vertices)
-            numbers.append(np.full(len(vertices), number))
-            places.append(np.arange(len(vertices)))
+            entry_starts.append(entry_count + np.searchsorted(vertices, edges))
             windows.append(window[vertices])
-        self._corner_weight = HostArray((len(self._grids), CORNERS), wp.float32, device)
-        start, order = group(np.concatenate(owners), self._vertex_count)
+            entry_count += len(vertices)
+        joints = len(self._grids)
+        self._corner_start = HostArray((joints,), Corners, device)
+        self._corner_weight = HostArray((joints,), CornerWeights, device)
         samples = Offsets()
-        samples.entry_start = wp.array(start, dtype=wp.int32, device=device)
-        samples.entry_joint = wp.array(np.concatenate(numbers)[order], dtype=wp.int32, device=device)
-        samples.entry_place = wp.array(np.concatenate(places)[order], dtype=wp.int32, device=device)
-        samples.entry_window = wp.array(np.concatenate(windows)[order], dtype=wp.float32, device=device)
+        samples.block_size = block_size
+        samples.entry_start = wp.array(np.stack(entry_starts), dtype=wp.int32, device=device)
+        samples.entry_vertex = wp.array(np.concatenate(owners), dtype=wp.int32, device=device)
+        samples.entry_window = wp.array(np.concatenate(windows), dtype=wp.float32, device=device)
         samples.offsets = wp.array(np.concatenate(data or [np.zeros((0, 3))]), dtype=wp.vec3, device=device)
         self._samples = samples
+        self._sums = Sums()
+        for name in ("total", "squares", "mixed"):
+            setattr(self._sums, name, wp.zeros(self._vertex_count, dtype=wp.vec3, device=device))
+        self._launch = SplitLaunch(self._vertex_count, device, block_size)
 
     def evaluate(
         self,
@@ -246,9 +252,8 @@ class OffsetEvaluator(JointEvaluator):
         self._corner_start.host[:] = -1
         for number, (grid, cell) in enumerate(zip(self._grids, cells, strict=True)):
             corner = 0
-            if self._nearest:
-                cell = replace(cell, fraction=np.round(cell.fraction))
-            for node, weight in corner_nodes(cell):
+            place = replace(cell, fraction=np.round(cell.fraction)) if self._nearest else cell
+            for node, weight in corner_nodes(place):
                 # The rest sample is all zeros and is not stored.
                 if weight > 0.0 and node != grid.rest:
                     self._corner_start.host[number, corner] = self._starts[number][node]
@@ -268,7 +273,7 @@ class OffsetEvaluator(JointEvaluator):
                 self._strength.device,
                 self._placement.device,
             ],
-            [out],
+            [self._sums, out],
         )
 
 
@@ -280,6 +285,7 @@ class PaperEvaluator(JointEvaluator):
         regions = method.header.regions
         self._segment_bones = regions.frames
         segments, count = len(regions.segments), len(self._grids)
+        self._launch = SplitLaunch(self._vertex_count, device)
         weights = method.distance_weights()
         owners, numbers, places, frames, shares, data = [], [], [], [], [], []
         self._starts: list[dict[tuple[int, ...], int]] = []
@@ -309,6 +315,7 @@ class PaperEvaluator(JointEvaluator):
         samples.entry_weight = wp.array(np.concatenate(shares)[order], dtype=wp.float32, device=device)
         samples.positions = wp.array(np.concatenate(data), dtype=wp.vec3, device=device)
         self._samples = samples
+        self._corner_start = HostArray((count, CORNERS), wp.int32, device)
         self._fraction = HostArray((count,), wp.vec3, device)
         self._twist_axis = HostArray((count, 4), wp.vec3, device)
         self._frames = HostArray((3 * count * segments,), wp.vec4, device)
@@ -402,5 +409,3 @@ class HostArray:
     def upload(self) -> None:
         if self.device is not self._pinned:
             wp.copy(self.device, self._pinned)
-
-

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -13,8 +14,11 @@ from numpy.typing import NDArray
 
 from .rig import Pose
 
-LEAST_SPLIT = 16_000
+LEAST_SPLIT = 4_000
 """Vertices below which a launch on the CPU is not worth splitting over threads."""
+
+BLOCK_SIZE = 512
+"""Vertices that a CPU deals with at a time, so that what it knows of them stays in its nearest cache."""
 
 
 class Method(ABC):
@@ -36,7 +40,7 @@ class Evaluator(ABC):
         clamped: For each joint whose angles left the sampled range in the last pose, by how much [rad], shape [dof].
     """
 
-    clamped: Mapping[str, NDArray[np.float64]]
+    clamped: dict[str, NDArray[np.float64]]
 
     @abstractmethod
     def evaluate(
@@ -71,20 +75,20 @@ class Evaluator(ABC):
 
 
 class SplitLaunch:
-    """Launches a kernel over vertices whose first argument is the first vertex of its part.
+    """Launches a kernel over blocks of vertices whose first argument is the first block of its part.
 
     Warp runs a launch on one thread of a CPU but releases Python's lock, so parts run on several threads.
     """
 
-    def __init__(self, vertex_count: int, device: wp.Device):
+    def __init__(self, vertex_count: int, device: wp.Device, block_size: int = 1):
         threads = max(1, min(cpu_count() or 1, vertex_count // LEAST_SPLIT)) if device.is_cpu else 1
-        edges = np.linspace(0, vertex_count, threads + 1).astype(int)
-        self._parts = [(int(a), int(b - a)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        edges = np.linspace(0, -(-vertex_count // block_size), threads + 1).astype(int)
+        self._parts = [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
         self._device = device
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
     def __call__(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
-        """Run the kernel over all vertices; ``inputs`` leave out the first vertex."""
+        """Run the kernel over all blocks; ``inputs`` leave out the first block."""
         run: list[Callable[[], object]] = [
             lambda part=part: wp.launch(
                 kernel, dim=part[1], inputs=[part[0], *inputs], outputs=outputs, device=self._device

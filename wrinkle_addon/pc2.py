@@ -47,7 +47,9 @@ def write_pc2(path: Path, vertex_count: int, start: float, frames: Iterable[NDAr
             raise StorageError(f"'{path}' got {written} frames, not {count}.")
         os.replace(temporary, path)
     except OSError as error:
-        raise StorageError(f"Cannot write '{path}': {error.strerror}; free some space or choose another place.") from error
+        raise StorageError(
+            f"Cannot write '{path}': {error.strerror}; free some space or choose another place."
+        ) from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -75,7 +77,9 @@ class PointCache:
         if version != VERSION or vertex_count <= 0 or count <= 0:
             raise StorageError(f"The point cache '{path}' has a version or size that cannot be read.")
         if rate != 1.0:
-            raise StorageError(f"The point cache '{path}' holds {rate} samples a frame; save it with one sample a frame.")
+            raise StorageError(
+                f"The point cache '{path}' holds {rate} samples a frame; save it with one sample a frame."
+            )
         if path.stat().st_size < HEADER.size + 12 * vertex_count * count:
             raise StorageError(f"The point cache '{path}' is truncated.")
         self.start = float(start)

@@ -216,12 +216,13 @@ def paper_plan(joints: Sequence[Joint], mirror: Mirror | None = None) -> SampleP
 
 def _paper_grid(joint: Joint) -> JointGrid:
     if joint.is_chain and joint.dof == 3:
-        angles = tuple(counted_angles(*limits, count) for limits, count in zip(joint.limits, SPINE_COUNTS, strict=True))
+        counts = zip(joint.limits, SPINE_COUNTS, strict=True)
+        angles = tuple(counted_angles(low, high, count) for (low, high), count in counts)
     else:
         step = HINGE_STEP if joint.is_hinge else BALL_STEP
-        angles = tuple(spaced_angles(*limits, step) for limits in joint.limits)
+        angles = tuple(spaced_angles(low, high, step) for low, high in joint.limits)
         if not joint.is_hinge:
-            angles = (counted_angles(*joint.limits[0], TWIST_COUNT), *angles[1:])
+            angles = (counted_angles(joint.limits[0, 0], joint.limits[0, 1], TWIST_COUNT), *angles[1:])
     return JointGrid(joint, angles)
 
 
@@ -242,7 +243,10 @@ def budget_plan(joints: Sequence[Joint], simulated: int, mirror: Mirror | None =
         grids = (
             JointGrid(
                 joint,
-                tuple(_angles(*limits, *counts) for limits, counts in zip(joint.limits, intervals[joint.name], strict=True)),
+                tuple(
+                    _angles(*limits, *counts)
+                    for limits, counts in zip(joint.limits, intervals[joint.name], strict=True)
+                ),
             )
             for joint in joints
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -97,7 +98,7 @@ def simulate_clip(
     for _ in range(int(np.ceil(settings.pre_roll / dt))):
         wearer.step(poses[0], dt)
     yield ReferenceFrame(wearer.positions, wearer.lie())
-    for before, after in zip(poses[:-1], poses[1:], strict=True):
+    for before, after in itertools.pairwise(poses):
         for step in range(1, settings.substeps + 1):
             wearer.step(pose_between(rig, before, after, step / settings.substeps), dt)
         yield ReferenceFrame(wearer.positions, wearer.lie())

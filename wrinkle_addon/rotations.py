@@ -39,7 +39,7 @@ def from_rotvec(rotvec: ArrayLike) -> FloatArray:
 def to_rotvec(q: ArrayLike) -> FloatArray:
     """Rotation vector of the shortest arc [rad], shape [..., 4] to [..., 3]."""
     q = np.asarray(q, np.float64)
-    q = np.where(q[..., :1] < 0.0, -q, q)
+    q = q * np.where(q[..., :1] < 0.0, -1.0, 1.0)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, q[..., :1])
     return q[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)

@@ -75,7 +75,9 @@ def write_bytes(path: Path, data: bytes) -> None:
             temporary.unlink(missing_ok=True)
         _sync_folder(path.parent)
     except OSError as error:
-        raise StorageError(f"Cannot write '{path}': {_reason(error)}; free some space or choose another place.") from error
+        raise StorageError(
+            f"Cannot write '{path}': {_reason(error)}; free some space or choose another place."
+        ) from error
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -123,7 +123,7 @@ def _mirror_signs(rig: Rig, joint: Joint, partner: Joint, point: FloatArray, nor
 
 
 def mirror_vertices(positions: FloatArray, faces: IntArray, point: FloatArray, normal: FloatArray) -> IntArray | None:
-    """Index of every vertex's mirror image across a plane, or None if the mesh is not symmetric, shape [vertex_count]."""
+    """Every vertex's mirror image across a plane, shape [vertex_count], or None if the mesh is not symmetric."""
     images = reflect(positions, point, normal)
     mirror = np.full(len(positions), -1, np.int64)
     # Vertices and images pair up by rounded coordinates, unless one falls on the edge of a cell; two grids, half a
@@ -142,5 +142,3 @@ def mirror_vertices(positions: FloatArray, faces: IntArray, point: FloatArray, n
     mine = np.unique(np.sort(faces, 1), axis=0)
     theirs = np.unique(np.sort(mirror[faces], 1), axis=0)
     return mirror.astype(np.int32) if np.array_equal(mine, theirs) else None
-
-

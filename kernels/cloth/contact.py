@@ -3,8 +3,9 @@
 Each vertex looks for the closest point of the body. The contact is a plane through that point, frozen while one
 linear system is solved. A body that bends also cuts into itself, in the crook of an elbow or under an arm; there the
 closest surface may be the wrong limb. So a vertex touches only the limbs that it is worn on, and no triangle that faces
-away from the vertex's own outward direction. The force grows with the square law of a spring within the thickness and stays constant deep inside, so that a
-place where no cloth can be free of the body does not tear the rest of the garment.
+away from the vertex's own outward direction. The force grows with the square of the depth within the thickness and
+stays constant deep inside, so that a place where no cloth can be free of the body does not tear the rest of the
+garment.
 """
 
 import warp as wp

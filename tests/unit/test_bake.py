@@ -56,7 +56,7 @@ def test_a_bake_stopped_after_any_sample_goes_on_to_the_same_bytes(character: Do
         for _ in range(stop):
             next(events)
         events.close()
-        with pytest.raises(StorageError, match="not finished|no database"):
+        with pytest.raises(StorageError, match=r"not finished|no database"):
             WrinkleDatabase.open(folder)
         left = drain(bake(job, ShapedSamples(character, plan, bumps(character)), folder))
         assert len(left) == 5 - stop
@@ -212,7 +212,7 @@ def test_a_changed_byte_is_found_by_its_hash(character: Doll, tmp_path: Path):
     data = bytearray(path.read_bytes())
     data[-1] ^= 1
     path.write_bytes(bytes(data))
-    with pytest.raises(StorageError, match="elbow_L-3.*is damaged"):
+    with pytest.raises(StorageError, match=r"elbow_L-3.*is damaged"):
         WrinkleDatabase.open(tmp_path, check_hashes=True)
 
 
@@ -266,7 +266,13 @@ def with_third_face(garment: Garment) -> Garment:
 )
 def test_a_garment_that_cannot_be_baked_is_refused_in_one_sentence(character: Doll, spoil, sentence: str):
     with pytest.raises(ValueError, match=sentence):
-        BakeJob(character.rig, spoil(character.garment), character.body, elbow_plan(character), character.job(elbow_plan(character)).settings)
+        BakeJob(
+            character.rig,
+            spoil(character.garment),
+            character.body,
+            elbow_plan(character),
+            character.job(elbow_plan(character)).settings,
+        )
 
 
 def shrunk(garment: Garment) -> np.ndarray:
@@ -279,7 +285,9 @@ def shrunk(garment: Garment) -> np.ndarray:
 def test_a_body_without_faces_is_refused(character: Doll):
     bare = Body(character.body.positions, np.zeros((0, 3), np.int32), character.body.weights)
     with pytest.raises(ValueError, match="body has no faces"):
-        BakeJob(character.rig, character.garment, bare, elbow_plan(character), character.job(elbow_plan(character)).settings)
+        BakeJob(
+            character.rig, character.garment, bare, elbow_plan(character), character.job(elbow_plan(character)).settings
+        )
 
 
 def test_a_full_disk_stops_the_bake_and_leaves_what_is_finished(character: Doll, tmp_path: Path, monkeypatch):

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from baked_dolls import baked, bump, full_plan
 from cloth_shapes import sphere, tube
 from dolls import Doll, doll
-from baked_dolls import baked, bump, full_plan
 from wrinkle_synthesis.wrinkle_addon.evaluate import EvaluatedFrame, evaluate
 from wrinkle_synthesis.wrinkle_addon.joint_wrinkles import JointWrinkles
 from wrinkle_synthesis.wrinkle_addon.rig import pose_of_angles

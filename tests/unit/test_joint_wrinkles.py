@@ -18,6 +18,7 @@ from wrinkle_synthesis.wrinkle_addon.rig import Pose, pose_from_local_turns, pos
 # The kernels are single precision at coordinates of about 1 m.
 SINGLE = 2e-6
 
+
 @pytest.fixture(scope="module")
 def character() -> Doll:
     return doll()
@@ -52,8 +53,12 @@ def unsampled_poses(character: Doll) -> dict[str, Pose]:
     past = pose_of_angles(character.rig, character.joints, {"elbow_L": [np.radians(110)]})
     return {
         "forearm pronated by 40 degrees": with_local_turns(character, pose, forearm_L=pronation),
-        "clavicles raised by 15 degrees": with_local_turns(character, pose, clavicle_L=(0, -15, 0), clavicle_R=(0, 15, 0)),
-        "spine bent unevenly": with_local_turns(character, pose, spine1=(25, 0, 0), spine2=(0, 0, 10), chest=(-5, 8, 0)),
+        "clavicles raised by 15 degrees": with_local_turns(
+            character, pose, clavicle_L=(0, -15, 0), clavicle_R=(0, 15, 0)
+        ),
+        "spine bent unevenly": with_local_turns(
+            character, pose, spine1=(25, 0, 0), spine2=(0, 0, 10), chest=(-5, 8, 0)
+        ),
         "elbow 20 degrees past its range": past,
     }
 
@@ -229,7 +234,9 @@ def rigid_sleeve(folder: Path, name: str, *degrees: list[float]) -> tuple[Doll, 
     bones[:, 0] = beyond
     weights = np.zeros(bones.shape, np.float32)
     weights[:, 0] = 1.0
-    garment = Garment("rigid", base.garment.positions, base.garment.faces, SkinWeights(bones, weights), base.garment.pins)
+    garment = Garment(
+        "rigid", base.garment.positions, base.garment.faces, SkinWeights(bones, weights), base.garment.pins
+    )
     character = Doll(base.rig, base.body, garment, base.joints)
     return character, baked(folder, character, SamplePlan((grid_of(joint, *degrees),)))
 
