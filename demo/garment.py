@@ -13,6 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from .character import Character
 from .cutting import BallCut, Ease, Form, Opening, PlaneCut, cut
@@ -32,6 +35,9 @@ SLEEVE_SURPLUS, SHORT_SLEEVE, HEM_DROP, ANKLE_GAP = 0.06, 0.62, 0.03, 0.03
 # A neckline is cut by a ball, as any plane would graze some shoulders: its centre lies this far in front of and above
 # the neck's joint [m], its radius is this share of the shoulder joint's distance from the middle.
 NECK_BALL_OFFSET, NECK_BALL_SHARE = np.array([0.0, -0.05, 0.075]), 0.63
+# Ribbed bands of this width hold a garment to the skin around its openings [m]: a shirt all around, as loose cuffs
+# would slide up to the elbows of a raised arm, the others at the topmost one.
+BAND = 0.025
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +55,26 @@ class Garment:
     vertices: FloatArray
     triangles: IntArray
     mirror: IntArray
+
+    @property
+    def held(self) -> FloatArray:
+        """How firmly its bands hold each vertex: 1 at an opening, 0 a band's width away from it, shape [vertex_count]."""
+        loops = _open_loops(self.triangles, len(self.vertices))
+        if self.name != "shirt":
+            loops = [max(loops, key=lambda loop: self.vertices[loop, 2].mean())]
+        distance, _ = cKDTree(self.vertices[np.concatenate(loops)]).query(self.vertices)
+        return np.clip(1.0 - distance / BAND, 0.0, 1.0)
+
+
+def _open_loops(triangles: IntArray, vertex_count: int) -> list[IntArray]:
+    """The vertices around each opening."""
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    unique, uses = np.unique(edges, axis=0, return_counts=True)
+    start, end = unique[uses == 1].T
+    graph = coo_array((np.ones(len(start)), (start, end)), shape=(vertex_count, vertex_count))
+    _, loop = connected_components(graph, directed=False)
+    rim = np.union1d(start, end)
+    return [rim[loop[rim] == number] for number in np.unique(loop[rim])]
 
 
 def make_garment(character: Character, name: str = "shirt", vertex_count: int = 12_000) -> Garment:

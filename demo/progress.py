@@ -9,6 +9,8 @@ from typing import TextIO
 
 LINE_WIDTH = 110
 PLAIN_SECONDS = 15.0
+RESUMED_SECONDS = 1.0
+"""A stage that took less was done in an earlier run [s]."""
 
 
 class Progress:
@@ -69,8 +71,9 @@ def time_left(
         elapsed: Seconds it has been at work.
         share: How much of it is done, from 0 to 1.
     """
-    hoped = sum(expected[name] for name in finished)
-    pace = min(max(sum(finished.values()) / hoped, 0.1), 10.0) if hoped > 0.0 else 1.0
+    # Stages that an earlier run had done say nothing of the pace.
+    worked = {name: seconds for name, seconds in finished.items() if seconds > RESUMED_SECONDS}
+    pace = sum(worked.values()) / sum(expected[name] for name in worked) if worked else 1.0
     by_plan = max(pace * expected[stage] - elapsed, 0.0)
     by_pace = elapsed * (1.0 - share) / share if share > 0.0 else by_plan
     # A stage's own pace counts the more, the further it is.

@@ -6,6 +6,8 @@ What is shown are point caches, so that skinning, synthesis and simulation are s
 from __future__ import annotations
 
 import os
+import signal
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -60,7 +62,7 @@ def render_frames(
                 scene.frame_set(frame)
                 partial = path.with_name(f".{path.name}")
                 scene.render.filepath = str(partial.resolve())
-                with quiet():
+                with quiet(), _interruptible_afterwards():
                     bpy.ops.render.render(write_still=True)
                 partial.rename(path)
             yield path
@@ -87,6 +89,25 @@ def _come_close(scene: Any, caches: Sequence[PointCache], frame: int) -> None:
     stage = scene.camera.parent
     cloth = np.concatenate([cache.frames[round(frame - cache.start)] for cache in caches])
     aim(scene, to_stage(cloth - np.array(stage.location), stage.rotation_euler.z))
+
+
+@contextmanager
+def _interruptible_afterwards() -> Iterator[None]:
+    """Let an interruption wait: inside a render it would end in the renderer, which takes the picture for done."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    asked: list[int] = []
+    before = {
+        number: signal.signal(number, lambda got, _: asked.append(got)) for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+    if asked:
+        raise KeyboardInterrupt
 
 
 @contextmanager

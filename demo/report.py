@@ -64,8 +64,8 @@ def _head(report: Mapping[str, Any]) -> str:
             "",
             f"A {report['recipe']['garment']} of {setup['vertices']:,} vertices, the motion-capture clip "
             f"*{report['recipe']['clip']}* of {report['frames']} frames, on {machine['processor']} "
-            f"({machine['cores']} cores, device {machine['device']}). In the pictures skin that the cloth covers is "
-            "hidden, in all columns alike.",
+            f"({machine['cores']} cores, device {machine['device']}). In the pictures skin under the cloth is "
+            "left out, in all columns alike.",
         ]
     )
 

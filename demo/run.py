@@ -21,7 +21,7 @@ from .recipe import FULL, QUICK, Recipe
 from .rendering import quiet, render_frames
 from .report import describe_machine, write_report
 from .results import Results
-from .scene import FRAMES_PER_SECOND, build_character
+from .scene import FRAMES_PER_SECOND, PIN_GROUP, build_character
 from .studio import make_live, make_playback, make_skinned
 
 COLUMNS = {"skinning": "Skinning alone", "synthesis": "Wrinkle Synthesis", "simulation": "Full simulation"}
@@ -102,8 +102,9 @@ class Demo:
             )
             self.progress.update(0.3)
             setup = self._run(
-                "setup", out / "animated.blend", "--garment", recipe.garment, "--body", "body", "--subdivide", "0",
-                "--ranges", f"1:{animated['frames']}", "--samples", str(recipe.samples), "--out", self._scene,
+                "setup", out / "animated.blend", "--garment", recipe.garment, "--body", "body",
+                "--subdivide", "0", "--pins", PIN_GROUP, "--ranges", f"1:{animated['frames']}",
+                "--samples", str(recipe.samples), "--out", self._scene,
             )  # fmt: skip
             self.progress.update(0.8)
             return {"frames": animated["frames"], "setup": setup, "plan": self._run("plan", self._scene)}

@@ -15,6 +15,9 @@ from .garment import Garment, make_garment
 
 FloatArray = NDArray[np.float64]
 
+PIN_GROUP = "bands"
+"""Vertex group of a garment's ribbed bands, which are held to the skin."""
+
 # Linear colours and roughness of the materials.
 MATERIALS = {
     "body": ((0.42, 0.27, 0.21), 0.55),
@@ -114,7 +117,11 @@ def _add_garment(character: Character, garment: Garment, armature: Any) -> None:
     )
     # Cloth in the middle is as near to the left as to the right: it follows both.
     weights += weights[garment.mirror][:, mirrored_bones(character.rig)]
-    _add_skinned(mesh, character, SkinWeights.from_dense(weights), armature)
+    worn = _add_skinned(mesh, character, SkinWeights.from_dense(weights), armature)
+    strengths = garment.held
+    held = worn.vertex_groups.new(name=PIN_GROUP)
+    for vertex in np.flatnonzero(strengths):
+        held.add([int(vertex)], float(strengths[vertex]), "REPLACE")
 
 
 def _new_mesh(name: str, vertices: FloatArray, faces: NDArray[np.int64]) -> Any:
@@ -148,7 +155,7 @@ def _use_nodes(owner: Any) -> None:
         owner.use_nodes = True
 
 
-def _add_skinned(mesh: Any, character: Character, weights: SkinWeights, armature: Any) -> None:
+def _add_skinned(mesh: Any, character: Character, weights: SkinWeights, armature: Any) -> Any:
     import bpy
 
     from ..wrinkle_addon.blender.setup import bind_to_armature, write_weights
@@ -158,6 +165,7 @@ def _add_skinned(mesh: Any, character: Character, weights: SkinWeights, armature
     skinned.parent = armature
     write_weights(skinned, character.rig, weights)
     bind_to_armature(skinned, armature)
+    return skinned
 
 
 def _light_and_frame(garments: Sequence[Garment], character: Character) -> None:

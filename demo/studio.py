@@ -24,18 +24,20 @@ LIGHTS = {
 }
 VIEW_FROM = (0.45, -1.0, 0.12)
 LIGHT_DISTANCE = 3.0
+AMBIENT = (0.12, 0.125, 0.135)
 # The backdrop's wall stands this far behind, joined to the floor by a bend of this radius; its half width [m].
 WALL, BEND, WIDTH = 2.0, 1.5, 8.0
 # Linear colours and roughness.
 SKIN = ((0.40, 0.30, 0.25), 0.55)
 LEGGINGS = ((0.028, 0.03, 0.036), 0.7)
 CLOTH = ((0.10, 0.22, 0.30), 0.9)
+BANDS = ((0.06, 0.14, 0.20), 0.9)
 GROUND = ((0.30, 0.30, 0.31), 0.9)
 ARM_PARTS = ("arm", "hand", "finger", "thumb")
 # Leggings reach from above the ankles to the waist, which the shirt covers, as shares of the body's height.
 LEGGINGS_HEIGHTS = (0.055, 0.62)
-# Skin is hidden if it is this near to the cloth, and this far from the cloth's edges [m].
-COVERED, COVER_REACH, COVER_EDGE = "under cloth", 0.06, 0.06
+# Skin is left out if it is this near to the cloth, and the cloth there this far from its edges [m].
+COVERED, COVER_REACH, COVER_EDGE = "under cloth", 0.06, 0.05
 # Room around what is shown, as a share of its size.
 MARGIN = 1.06
 # Of the head, so much is shown above the cloth [m].
@@ -96,7 +98,7 @@ def _furnish(garment: Any, cache: Path) -> None:
     import bpy
 
     dress_body(garment.wrinkles.body, garment)
-    _paint(garment, CLOTH)
+    _dress_garment(garment)
     light_and_follow(bpy.context.scene, cache, rest_positions(garment))
     garment.wrinkles.armature.hide_viewport = True
 
@@ -124,7 +126,7 @@ def rest_positions(garment: Any) -> FloatArray:
 
 
 def dress_body(body: Any, garment: Any) -> None:
-    """Paint leggings on the body, and hide the skin that the garment covers, as productions do.
+    """Paint leggings on the body, and leave out the skin that the garment covers, as productions do.
 
     Args:
         body: The body object.
@@ -140,8 +142,8 @@ def dress_body(body: Any, garment: Any) -> None:
     is_leg = ~is_arm & (skin[:, 2] > low) & (skin[:, 2] < high)
     for face in body.data.polygons:
         face.material_index = int(all(is_leg[i] for i in face.vertices))
-    covered = np.flatnonzero(_is_covered(skin, garment))
-    body.vertex_groups.new(name=COVERED).add(covered.tolist(), 1.0, "REPLACE")
+    group = body.vertex_groups.new(name=COVERED)
+    group.add(np.flatnonzero(_is_covered(skin, garment)).tolist(), 1.0, "REPLACE")
     mask = body.modifiers.new("Skin under cloth", "MASK")
     mask.vertex_group, mask.invert_vertex_group = COVERED, True
     # In renders alone, so that the body in the viewport, which bakes are made on, stays whole.
@@ -149,19 +151,27 @@ def dress_body(body: Any, garment: Any) -> None:
 
 
 def _is_covered(skin: FloatArray, garment: Any) -> NDArray[np.bool_]:
-    """Which points of the skin lie under the garment, far from its edges; shape [point_count]."""
+    """Which points of the skin lie under the garment, away from its edges; shape [point_count]."""
+    from scipy.spatial import KDTree
+
     cloth = rest_positions(garment)
     sides = np.array([loop.edge_index for loop in garment.data.loops])
     ends = np.array([edge.vertices[:] for edge in garment.data.edges])
     rim = cloth[np.unique(ends[np.bincount(sides, minlength=len(ends)) == 1])]
-    return (_distance_to(cloth, skin) < COVER_REACH) & (_distance_to(rim, skin) > COVER_EDGE)
+    distance, nearest = KDTree(cloth).query(skin)
+    return (distance < COVER_REACH) & (KDTree(rim).query(cloth)[0][nearest] > COVER_EDGE)
 
 
-def _distance_to(points: FloatArray, queries: FloatArray) -> FloatArray:
-    """Distance from each query to the nearest of some points [m], shape [query_count]."""
-    from scipy.spatial import KDTree
-
-    return KDTree(points).query(queries)[0]
+def _dress_garment(garment: Any) -> None:
+    """Paint the garment, and its ribbed bands darker."""
+    _paint(garment, CLOTH)
+    bands = garment.vertex_groups.get(garment.wrinkles.pin_group)
+    if bands is None:
+        return
+    garment.data.materials.append(_material("bands", BANDS))
+    in_band = [any(e.group == bands.index for e in vertex.groups) for vertex in garment.data.vertices]
+    for face in garment.data.polygons:
+        face.material_index = int(all(in_band[i] for i in face.vertices))
 
 
 def _paint(thing: Any, look: tuple[tuple[float, float, float], float]) -> None:
@@ -211,8 +221,7 @@ def light_and_follow(scene: Any, cache: Path, rest: FloatArray) -> None:
     scene.render.resolution_x, scene.render.resolution_y = PICTURE_SIZE
     aim(scene, to_stage(np.asarray(frames.frames, np.float64) - centres[:, None], heading))
     _set_backdrop(scene, stage)
-    background = scene.world.node_tree.nodes["Background"].inputs["Color"]
-    background.default_value = (0.12, 0.125, 0.135, 1.0)
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (*AMBIENT, 1.0)
 
 
 def _follow(frames: FloatArray, rest: FloatArray) -> tuple[FloatArray, float]:

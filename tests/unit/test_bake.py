@@ -192,7 +192,7 @@ def swap_sample(folder: Path) -> None:
         (lambda folder: sorted(folder.glob("elbow_L-3-*"))[0].unlink(), r"elbow_L-3-\w+\.safetensors is missing"),
         (lambda folder: (folder / "manifest.json").unlink(), "not finished"),
         (lambda folder: (folder / "manifest.json").write_text("{"), "damaged"),
-        (break_version, "format 99, this version reads format 1"),
+        (break_version, "format 99, this version reads 1"),
         (break_header, "damaged or truncated"),
         (swap_sample, "does not hold a sample of this garment"),
     ],

@@ -95,6 +95,17 @@ def test_it_stands_off_the_body_everywhere(pair: tuple[Character, Garment]) -> N
     assert middles.min() > 0.001
 
 
+def test_its_bands_hold_it_at_its_openings(pair: tuple[Character, Garment]) -> None:
+    garment = pair[1]
+    held = garment.held
+    assert held.min() == 0.0 and (held > 0.0).mean() < 0.25
+    assert np.array_equal(held, held[garment.mirror])
+    loops = sorted(border_loops(garment), key=lambda loop: garment.vertices[loop, 2].mean())
+    for loop in loops:
+        holds = garment.name == "shirt" or loop is loops[-1]
+        assert (held[loop] == holds).all()
+
+
 def test_it_faces_away_from_the_body(pair: tuple[Character, Garment]) -> None:
     character, garment = pair
     body = with_holes_filled(character.body.vertices, character.body.triangles)
