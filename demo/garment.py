@@ -58,7 +58,7 @@ class Garment:
 
     @property
     def held(self) -> FloatArray:
-        """How firmly its bands hold each vertex: 1 at an opening, 0 a band's width away from it, shape [vertex_count]."""
+        """How firmly its bands hold each vertex: 1 at an opening, 0 a band's width away, shape [vertex_count]."""
         loops = _open_loops(self.triangles, len(self.vertices))
         if self.name != "shirt":
             loops = [max(loops, key=lambda loop: self.vertices[loop, 2].mean())]

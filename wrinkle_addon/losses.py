@@ -7,7 +7,8 @@ interpolations from samples, joined. What lies between two neighbours is one los
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 import warp as wp
@@ -18,8 +19,19 @@ from .database import WrinkleDatabase, skin_frame
 from .joint_wrinkles import JointWrinkles
 from .rig import FloatArray, Pose, joint_angles, pose_of_angles
 
-Equilibrium = Callable[[Pose, FloatArray], FloatArray]
-"""The settled garment [m], shape [vertex_count, 3], in a pose and under gravity along a unit vector, in rig space."""
+
+class Equilibrium(Protocol):
+    """Whoever knows where the garment comes to rest: our solver, or a formula in tests."""
+
+    def __call__(self, pose: Pose, gravity: FloatArray, through: Sequence[Pose] = ()) -> FloatArray:
+        """The settled garment in rig space [m], shape [vertex_count, 3].
+
+        Args:
+            pose: The pose.
+            gravity: Where things fall, a unit vector in rig space.
+            through: Poses that the body passes on its way from rest; straight there if there are none.
+        """
+        ...
 
 
 class LossFinder:
@@ -45,9 +57,10 @@ class LossFinder:
             whole: The equilibrium at this pose [m], shape [vertex_count, 3].
 
         Returns:
-            ``skinning``: what there is to lose; ``other_bones``: bones that are no sampled joints, and a body that
-            leans; ``independence``: joints that act on each other; ``interpolation``: between and beyond samples;
-            ``all``: what is lost in the end. Losses may cancel: the last is not their sum.
+            ``skinning``: what there is to lose; ``history``: what friction makes of another way to the same pose,
+            joint after joint, which no function of the pose can know; ``other_bones``: bones that are no sampled
+            joints, and a body that leans; ``independence``: joints that act on each other; ``interpolation``: between
+            and beyond samples; ``all``: what is lost in the end. Losses may cancel: the last is not their sum.
         """
         rig, joints = self._header.rig, self._header.joints
         angles = joint_angles(rig, joints, pose)
@@ -60,8 +73,12 @@ class LossFinder:
             alone.append(self._offsets(single, self._equilibrium(single, rig.gravity)))
             interpolated.append(self._offsets(single, self._evaluator.positions(single).astype(np.float64)))
         joined, shown = join(alone), join(interpolated)
+        stages = [dict(list(angles.items())[:count]) for count in range(1, len(angles) + 1)]
+        way = [pose_of_angles(rig, joints, stage) for stage in stages]
+        again = self._offsets(pose, self._equilibrium(pose, gravity, way))
         return {
             "skinning": _rms_mm(true),
+            "history": _rms_mm(true - again),
             "other_bones": _rms_mm(true - together),
             "independence": _rms_mm(together - joined),
             "interpolation": _rms_mm(joined - shown),

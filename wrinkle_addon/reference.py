@@ -42,13 +42,18 @@ class SettledReference:
         self._wearer = Wearer(rig, garment, body, bodies, settings, device)
         self._rest = rest
 
-    def at(self, pose: Pose, gravity: FloatArray) -> ReferenceFrame:
-        """The garment at rest in a pose; ``gravity`` is a unit vector in rig space."""
+    def at(self, pose: Pose, gravity: FloatArray, through: Sequence[Pose] = ()) -> ReferenceFrame:
+        """The garment at rest in a pose; ``gravity`` is a unit vector in rig space.
+
+        Args:
+            through: Poses that the body passes on its way, the character's own place left at rest.
+        """
         wearer = self._wearer
         upright, root = pose.with_root_at_rest(wearer.rig)
         wearer.simulation.set_gravity(root[:3, :3].T @ gravity * STANDARD_GRAVITY)
         wearer.begin(self._rest, Pose.at_rest(wearer.rig))
-        wearer.walk(upright)
+        for passed in (*through, upright):
+            wearer.walk(passed)
         report = wearer.settle()
         return ReferenceFrame(wearer.positions @ root[:3, :3].T + root[:3, 3], report)
 

@@ -1,5 +1,6 @@
 """Where errors come from: a made-up cloth whose losses are known in advance."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,18 +20,18 @@ STORED = 0.1
 class Cloth:
     """Bumps that the database knows at its samples, joined as synthesis does, and what it does not know."""
 
-    def __init__(self, folder: Path, extra: float = 0.0, lean: float = 0.0):
+    def __init__(self, folder: Path, extra: float = 0.0, lean: float = 0.0, lag: float = 0.0):
         self.character = doll()
         self.bumps = {name: bump(self.character, name) for name in GRID}
         self.database = baked(folder, self.character, full_plan(self.character), self.bumps)
-        self._extra, self._lean = extra, lean
+        self._extra, self._lean, self._lag = extra, lean, lag
 
-    def settle(self, pose: Pose, gravity: np.ndarray) -> np.ndarray:
+    def settle(self, pose: Pose, gravity: np.ndarray, through: Sequence[Pose] = ()) -> np.ndarray:
         character = self.character
         angles = joint_angles(character.rig, character.joints, pose)
         offsets = join([self.bumps[name](values) for name, values in angles.items()])
         bent = sum(float(np.abs(angles[name]).max()) > 0.01 for name in ("elbow_L", "shoulder_L")) == 2
-        offsets = offsets + [self._extra * bent, 0.0, 0.0] + self._lean * (gravity - DOWN)
+        offsets = offsets + [self._extra * bent, self._lag * bool(through), 0.0] + self._lean * (gravity - DOWN)
         skinned, turns = skin_frame(character.rig, character.garment.weights, self.database.rest, pose)
         return skinned + rotations.rotate(turns, offsets)
 
@@ -46,7 +47,7 @@ NODES = {"elbow_L": [60.0], "shoulder_L": [40.0, 30.0, 60.0]}
 def test_nothing_is_lost_where_samples_say_it_all(tmp_path: Path):
     losses = Cloth(tmp_path).losses(NODES)
     assert losses["skinning"] > 1.0
-    assert max(losses[name] for name in ("other_bones", "independence", "interpolation", "all")) < STORED
+    assert max(losses[name] for name in ("history", "other_bones", "independence", "interpolation", "all")) < STORED
 
 
 def test_interpolation_loses_between_samples(tmp_path: Path):
@@ -66,6 +67,11 @@ def test_a_leaning_body_loses_what_upright_samples_cannot_know(tmp_path: Path):
     losses = Cloth(tmp_path, lean=0.005).losses(NODES, leaning)
     assert losses["other_bones"] == pytest.approx(5.0, abs=STORED)
     assert losses["independence"] < STORED and losses["interpolation"] < STORED
+
+
+def test_history_loses_what_depends_on_the_way(tmp_path: Path):
+    losses = Cloth(tmp_path, lag=0.003).losses(NODES)
+    assert losses["history"] == pytest.approx(3.0, abs=STORED) and losses["all"] < STORED
 
 
 def test_losses_of_a_clip_are_root_mean_squares():

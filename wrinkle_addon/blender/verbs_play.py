@@ -190,7 +190,11 @@ def _settled(
     losses: bool,
 ) -> Shapes:
     reference = SettledReference(job.rig, job.garment, job.body, stage, job.settings, database.rest, device)
-    finder = LossFinder(database, lambda pose, gravity: reference.at(pose, gravity).positions)
+
+    def equilibrium(pose: Pose, gravity: FloatArray, through: Sequence[Pose] = ()) -> FloatArray:
+        return reference.at(pose, gravity, through).positions
+
+    finder = LossFinder(database, equilibrium)
     for clip in clips:
         gravity = clip.rig_to_world[:3, :3].T @ np.array([0.0, 0.0, -1.0])
         shape = reference.at(clip.pose, gravity)
