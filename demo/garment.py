@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from .character import Character
 from .cutting import BallCut, Ease, Form, Opening, PlaneCut, cut
+from .remesh import Edges
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -62,15 +63,14 @@ class Garment:
         loops = _open_loops(self.triangles, len(self.vertices))
         if self.name != "shirt":
             loops = [max(loops, key=lambda loop: self.vertices[loop, 2].mean())]
-        distance, _ = cKDTree(self.vertices[np.concatenate(loops)]).query(self.vertices)
+        distance, _ = KDTree(self.vertices[np.concatenate(loops)]).query(self.vertices)
         return np.clip(1.0 - distance / BAND, 0.0, 1.0)
 
 
 def _open_loops(triangles: IntArray, vertex_count: int) -> list[IntArray]:
     """The vertices around each opening."""
-    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    unique, uses = np.unique(edges, axis=0, return_counts=True)
-    start, end = unique[uses == 1].T
+    edges = Edges.of(triangles)
+    start, end = edges.ends[edges.is_border].T
     graph = coo_array((np.ones(len(start)), (start, end)), shape=(vertex_count, vertex_count))
     _, loop = connected_components(graph, directed=False)
     rim = np.union1d(start, end)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import enum
 import itertools
+from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -67,9 +68,9 @@ class GridCell:
 def find_cell(grid: JointGrid, angles: FloatArray) -> GridCell:
     """Locate angles [rad] in a joint's grid, clamped to it."""
     lower, upper, fraction, beyond = [], [], [], []
-    for values, angle in zip(grid.angles, angles, strict=True):
+    for values, angle in zip(grid.angles, angles.tolist(), strict=True):
         clamped = min(max(angle, values[0]), values[-1])
-        node = min(max(int(np.searchsorted(values, clamped, side="right")) - 1, 0), max(len(values) - 2, 0))
+        node = min(max(bisect_right(values, clamped) - 1, 0), max(len(values) - 2, 0))
         above = min(node + 1, len(values) - 1)
         width = values[above] - values[node]
         lower.append(node)
@@ -374,13 +375,10 @@ class PaperEvaluator(JointEvaluator):
 
 def corner_nodes(cell: GridCell) -> list[tuple[tuple[int, ...], float]]:
     """Nodes around a cell with their multilinear weights; the bits of a corner's number choose the upper nodes."""
-    dof = len(cell.lower)
-    nodes = []
-    for corner in range(2**dof):
-        bits = [(corner >> axis) & 1 for axis in range(dof)]
-        weight = float(np.prod([t if bit else 1.0 - t for bit, t in zip(bits, cell.fraction, strict=True)]))
-        node = tuple(above if bit else below for below, above, bit in zip(cell.lower, cell.upper, bits, strict=True))
-        nodes.append((node, weight))
+    nodes: list[tuple[tuple[int, ...], float]] = [((), 1.0)]
+    for below, above, t in zip(cell.lower, cell.upper, cell.fraction.tolist(), strict=True):
+        lower = [((*node, below), weight * (1.0 - t)) for node, weight in nodes]
+        nodes = lower + [((*node, above), weight * t) for node, weight in nodes]
     return nodes
 
 
