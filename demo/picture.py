@@ -10,9 +10,7 @@ CAPTION, GAP = 0.075, 0.012
 INK, PAPER = (40, 42, 46), (250, 250, 249)
 
 
-def compose(
-    rows: Sequence[Sequence[Path]], columns: Sequence[str], sides: Sequence[str], path: Path, width: int = 0
-) -> Path:
+def compose(rows: Sequence[Sequence[Path]], columns: Sequence[str], sides: Sequence[str], path: Path) -> Path:
     """Put equally large pictures into a table.
 
     Args:
@@ -20,7 +18,6 @@ def compose(
         columns: Caption above each column.
         sides: Caption in the corner of each row's first picture; empty for none.
         path: Where the result goes: .png or .jpg.
-        width: Width of the result in pixels, if it shall be smaller than it comes.
 
     Raises:
         ValueError: If rows or captions do not match, or pictures differ in size.
@@ -45,8 +42,6 @@ def compose(
         for k, image in enumerate(row):
             sheet.paste(image, (k * (across + gap), top))
         draw.text((gap * 2, top + gap * 2), sides[r], INK, _font(round(0.45 * caption)))
-    if width and width < sheet.width:
-        sheet = sheet.resize((width, round(sheet.height * width / sheet.width)), Image.Resampling.LANCZOS)
     # Films need even sides.
     sheet = sheet.crop((0, 0, sheet.width - sheet.width % 2, sheet.height - sheet.height % 2))
     path.parent.mkdir(parents=True, exist_ok=True)

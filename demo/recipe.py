@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -41,12 +42,17 @@ class Recipe:
     film_speed: float
     expected: dict[str, float]
 
+    @property
+    def choices(self) -> dict[str, Any]:
+        """All that decides the results."""
+        return {name: value for name, value in asdict(self).items() if name != "expected"}
+
 
 FULL = Recipe(
     sex="male",
     garment="shirt",
     vertex_count=12_000,
-    clip="dance_b",
+    clip="punch",
     samples=36,
     processes=2,
     settled_step=10,
@@ -61,19 +67,19 @@ FULL = Recipe(
     expected={
         "character": 15.0,
         "set-up": 10.0,
-        "bake": 500.0,
-        "synthesis": 10.0,
-        "references": 240.0,
-        "errors": 20.0,
+        "bake": 560.0,
+        "synthesis": 5.0,
+        "references": 230.0,
+        "errors": 12.0,
         "pictures": 90.0,
-        "film": 300.0,
+        "film": 280.0,
     },
 )
 QUICK = Recipe(
     sex="male",
     garment="shirt",
     vertex_count=4_000,
-    clip="dance_b",
+    clip="punch",
     samples=6,
     processes=2,
     settled_step=25,
@@ -86,13 +92,13 @@ QUICK = Recipe(
     film_rays=4,
     film_speed=0.3,
     expected={
-        "character": 10.0,
-        "set-up": 10.0,
-        "bake": 45.0,
-        "synthesis": 8.0,
-        "references": 40.0,
-        "errors": 8.0,
-        "pictures": 15.0,
-        "film": 25.0,
+        "character": 8.0,
+        "set-up": 6.0,
+        "bake": 40.0,
+        "synthesis": 4.0,
+        "references": 55.0,
+        "errors": 5.0,
+        "pictures": 20.0,
+        "film": 18.0,
     },
 )

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +60,7 @@ class Demo:
 
     def __init__(self, out: Path, recipe: Recipe):
         self.out, self.recipe = out, recipe
-        self.results = Results(out, asdict(recipe))
+        self.results = Results(out, recipe.choices)
         self.progress = Progress(recipe.expected)
         self.stages: dict[str, Callable[[], dict[str, Any]]] = {
             "character": self.make_character,
@@ -229,7 +228,7 @@ class Demo:
     def finish(self, report: Mapping[str, Any]) -> dict[str, Any]:
         """Write the report."""
         whole = {
-            "recipe": asdict(self.recipe),
+            "recipe": self.recipe.choices,
             "machine": describe_machine(self._run("doctor")),
             "times": self.results.times,
             **report,

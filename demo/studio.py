@@ -41,7 +41,7 @@ COVERED, COVER_REACH, COVER_EDGE = "under cloth", 0.06, 0.05
 # Room around what is shown, as a share of its size.
 MARGIN = 1.06
 # Of the head, so much is shown above the cloth [m].
-HEADROOM = 0.12
+HEADROOM = 0.22
 PICTURE_SIZE = (720, 800)
 # The camera follows the character as softly as the mean over this many frames to either side.
 FOLLOW = 4
