@@ -419,6 +419,7 @@ class Wearer:
         )
         return {
             "residual": round(report.residual, 4),
+            "whole_residual": round(report.whole_residual, 4),
             "converged": report.converged,
             "iterations": report.iterations,
             "linear_iterations": report.linear_iterations,

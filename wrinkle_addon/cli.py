@@ -65,8 +65,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run(options: argparse.Namespace) -> Mapping[str, Any]:
     """Run the verb that was parsed; what it needs is imported only now."""
     if options.verb == "demo":
-        from ..demo.run import run_demo
-
+        try:
+            from ..demo.run import run_demo
+        except ModuleNotFoundError as error:
+            raise ValueError(
+                f"The demo needs {error.name}, which is not here; run `make demo` in a clone of the project."
+            ) from error
         return run_demo(options.out, quick=options.quick)
     if options.verb in FOLDER_VERBS:
         from . import folder_verbs

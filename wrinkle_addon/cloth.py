@@ -68,13 +68,16 @@ class SettleReport:
     """How close to equilibrium a garment came.
 
     Attributes:
-        residual: Root mean square of the force left on a vertex, in nodal weights, the worst of all worlds.
+        residual: Root mean square of the force left on a vertex, in nodal weights, the worst of all worlds; without
+            the share of vertices that may be trapped.
+        whole_residual: The same of all vertices.
         iterations: Linearisations taken.
         linear_iterations: Conjugate gradient iterations taken.
-        converged: Whether it fell below the tolerance asked for, but for the share of vertices that may be trapped.
+        converged: Whether the residual fell below the tolerance asked for.
     """
 
     residual: float
+    whole_residual: float
     iterations: int
     linear_iterations: int
     converged: bool
@@ -271,7 +274,8 @@ class ClothSimulation:
         self._moving.fill_(1)
         self._kept.zero_()
         rested = bool(residual.max() <= tolerance)
-        return SettleReport(float(self._rms_residual().max()), iteration, linear_total, rested)
+        whole = float(self._rms_residual().max())
+        return SettleReport(float(residual.max()), whole, iteration, linear_total, rested)
 
     # Equilibrium
 

@@ -142,7 +142,7 @@ def evaluate(
         "inside_share": float(np.mean(inside)) if inside else None,
         "deepest_mm": float(np.max(deepest) * 1e3) if deepest else None,
         "acceleration_ratio": _acceleration_ratio(numbers, tracks),
-        "reference": _summary(reports),
+        "reference": worst_of(reports),
     }
 
 
@@ -174,9 +174,9 @@ def _triples(track: Sequence[NDArray[np.float32]]):
     return zip(track[:-2], track[1:-1], track[2:], strict=True)
 
 
-def _summary(reports: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def worst_of(reports: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Worst residual, penetration and self-intersection that a reference reported."""
-    keys = ("residual", "inside", "deepest_mm", "self_intersections")
+    keys = ("residual", "whole_residual", "inside", "deepest_mm", "self_intersections")
     worst = {key: max(report[key] for report in reports) for key in keys if all(key in report for report in reports)}
     if all("converged" in report for report in reports):
         worst["converged_frames"] = sum(bool(report["converged"]) for report in reports)

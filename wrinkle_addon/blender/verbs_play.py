@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..bake import BakeJob, Wearer
 from ..database import MANIFEST, WrinkleDatabase
-from ..evaluate import EvaluatedFrame
+from ..evaluate import EvaluatedFrame, worst_of
 from ..evaluate import evaluate as evaluate_frames
 from ..folder_verbs import choose_device
 from ..joint_wrinkles import Formulation, JointWrinkles
@@ -73,14 +73,17 @@ def simulate(options: argparse.Namespace) -> Mapping[str, Any]:
         rest = _baked_rest(options, garment, job)
         clips = list(read_clip(garment, stage.rig, frames))
         shapes = _simulated(job, stage, clips, rest, settings, device)
+        reports: list[Mapping[str, Any]] = []
 
         def positions() -> Iterator[NDArray[np.float32]]:
             for clip, (shape, report) in zip(clips, shapes, strict=True):
                 _say_frame(clip, report)
+                reports.append(report)
                 yield apply(clip.rig_to_garment, shape).astype(np.float32)
 
         write_pc2(options.out, job.garment.vertex_count, frames[0], positions(), len(frames))
-    return {"frames": len(frames), "cache": str(options.out), "text": f"{len(frames)} frames written to {options.out}."}
+    text = f"{len(frames)} frames written to {options.out}."
+    return {"frames": len(frames), "cache": str(options.out), "worst": worst_of(reports), "text": text}
 
 
 def _baked_rest(options: argparse.Namespace, garment: bpy.types.Object, job: BakeJob) -> FloatArray | None:
