@@ -120,7 +120,7 @@ def _bake(report: Mapping[str, Any]) -> str:
             "",
             _table(["joint", "grid", "degrees from rest"], grids),
             "",
-            f"- {info['samples']} samples, {plan['simulated']} of them simulated"
+            f"- {info['samples']} shapes with the rest pose, {plan['simulated']} of them simulated"
             + (", the others mirrored." if plan["symmetric"] else "."),
             f"- {info['sample_bytes'] / 1e6:.1f} MB of samples, {info['raw_bytes'] / 1e6:.1f} MB as raw positions "
             f"({info['times_smaller_than_raw']} times smaller); {info['bytes'] / 1e6:.1f} MB in all.",
