@@ -9,7 +9,7 @@ bpy = pytest.importorskip("bpy")
 
 from wrinkle_synthesis.demo import packages  # noqa: E402
 from wrinkle_synthesis.demo.character import Build, load_character  # noqa: E402
-from wrinkle_synthesis.demo.scene import build_character  # noqa: E402
+from wrinkle_synthesis.demo.scene import PIN_GROUP, build_character  # noqa: E402
 
 VERTEX_COUNT = 3_000
 
@@ -61,7 +61,7 @@ def test_meshes_follow_the_rig_and_rest_where_they_were_modelled(name: str) -> N
     skinned, armature = bpy.data.objects[name], bpy.data.objects["Rig"]
     assert skinned.parent == armature
     assert [modifier.object for modifier in skinned.modifiers] == [armature]
-    assert {group.name for group in skinned.vertex_groups} <= set(armature.data.bones.keys())
+    assert {group.name for group in skinned.vertex_groups} <= {*armature.data.bones.keys(), PIN_GROUP}
     modelled = np.array([vertex.co for vertex in skinned.data.vertices])
     np.testing.assert_allclose(positions(name), modelled, atol=1e-5)
 
