@@ -49,8 +49,7 @@ def measure_sample(outfit: Outfit, *, quick: bool) -> dict[str, Any]:
     node = grid.rest[0] + STEPS_FROM_REST
     start, end = (pose_of_angles(outfit.rig, [grid.joint], {JOINT: grid.at((n,))}) for n in (node - 1, node))
     started = time.perf_counter()
-    wearer.dress()
-    rest = wearer.settle(settings.rest_tolerance, trapped=0.0)
+    rest = wearer.dress()
     rest_seconds = time.perf_counter() - started
     wearer.walk(start)
     wearer.settle()

@@ -275,8 +275,7 @@ class SimulatedSamples:
         path = self._path("rest")
         if path.exists():
             return self._read(path)
-        self.wearer.dress()
-        report = self.wearer.settle(self._job.settings.rest_tolerance, trapped=0.0)
+        report = self.wearer.dress()
         positions = self.wearer.positions
         mirror = self._job.plan.mirror
         if mirror is not None:
@@ -359,11 +358,12 @@ class Wearer:
         """The garment as it lies [m], shape [vertex_count, 3]."""
         return self.simulation.positions[0]
 
-    def dress(self) -> None:
-        """Put the modelled garment on in the rest pose."""
+    def dress(self) -> dict[str, Any]:
+        """Put the modelled garment on in the rest pose and let it settle; reports as :meth:`settle` does."""
         self._place(Pose.at_rest(self.rig))
         self.simulation.start(self.garment.positions)
         self.simulation.move_body(self.bodies.positions(self._pose))
+        return self.settle(self.settings.rest_tolerance, trapped=0.0)
 
     def begin(self, positions: FloatArray, pose: Pose) -> None:
         """Start from a garment that lies still in this pose [m], held by friction."""

@@ -114,7 +114,6 @@ def _simulated(
     wearer = Wearer(job.rig, job.garment, job.body, WorldBodies(stage), job.settings, device)
     if rest is None:
         wearer.dress()
-        wearer.settle(job.settings.rest_tolerance, trapped=0.0)
         rest = wearer.positions
     fps = bpy.context.scene.render.fps / bpy.context.scene.render.fps_base
     poses = [clip.in_world() for clip in clips]
