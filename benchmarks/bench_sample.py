@@ -96,10 +96,10 @@ def stage_seconds(profile: cProfile.Profile) -> dict[str, float]:
 
 def measure_cloth(outfit: Outfit, *, quick: bool) -> float:
     """Seconds a frame of Blender's Cloth on the same shirt, the median of a few."""
-    from stage import add_cloth, open_stage, simulate_cloth
+    from stage import TUNED_DISTANCES, add_cloth, open_stage, simulate_cloth
 
     stage = open_stage(outfit)
-    add_cloth(stage, "cloth", quality=CLOTH_QUALITY, self_collision=True)
+    add_cloth(stage, "cloth", quality=CLOTH_QUALITY, self_collision=True, distances=TUNED_DISTANCES)
     return float(np.median(simulate_cloth(stage, "cloth", 1 if quick else CLOTH_FRAMES)))
 
 

@@ -8,13 +8,13 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
 import wrinkle_synthesis
 from outfit import Outfit, make_plan, spin_kick, write_database
 from wrinkle_synthesis.demo.scene import build_character
+from wrinkle_synthesis.wrinkle_addon.blender import handlers
 from wrinkle_synthesis.wrinkle_addon.blender.armature import apply_motion, read_rig
 from wrinkle_synthesis.wrinkle_addon.blender.character import read_garment, rig_from_world
 from wrinkle_synthesis.wrinkle_addon.blender.setup import bind_to_armature, write_weights
@@ -22,8 +22,11 @@ from wrinkle_synthesis.wrinkle_addon.joints import find_joints
 from wrinkle_synthesis.wrinkle_addon.pc2 import write_pc2
 from wrinkle_synthesis.wrinkle_addon.rig import FloatArray
 
-CLOTH_DISTANCE, SELF_DISTANCE = 0.004, 0.002
-"""How far Blender's Cloth stays from the body and from itself [m]; its own 15 mm are more than a shirt's ease."""
+TUNED_DISTANCES = (0.004, 0.002)
+"""How far Blender's Cloth stays from the body and from itself [m], set by someone who knows what it costs.
+
+Its own 15 mm are as much as a shirt's ease and three of its edges: everything touches everything.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +91,8 @@ class Stage:
         return path
 
     def show(self, name: str | None) -> None:
-        """Let one of the garments be seen, or none."""
+        """Let one of the garments be seen, or none, in an animation that a window would play from now on."""
+        handlers.begin_animation()
         for other, ob in self.garments.items():
             ob.hide_viewport = other != name
 
@@ -133,39 +137,38 @@ def open_stage(outfit: Outfit) -> Stage:
 # --- rivals -------------------------------------------------------------------------------------------------------
 
 
-def add_cloth(stage: Stage, name: str, *, quality: int, self_collision: bool) -> bpy.types.Object:
-    """A garment that Blender's own Cloth modifier simulates, starting from the skinned shape."""
+def add_cloth(
+    stage: Stage, name: str, *, quality: int, self_collision: bool = False, distances: tuple[float, float] | None = None
+) -> bpy.types.Object:
+    """A garment that Blender's own Cloth modifier simulates, starting from the skinned shape.
+
+    Args:
+        quality: Steps a frame.
+        distances: From the body and from itself [m]; Blender's own if left out.
+    """
     ob = stage.add_garment(name)
     modifier = ob.modifiers.new("Cloth", "CLOTH")
     modifier.settings.quality = quality
-    modifier.collision_settings.distance_min = CLOTH_DISTANCE
     modifier.collision_settings.use_self_collision = self_collision
-    modifier.collision_settings.self_distance_min = SELF_DISTANCE
+    if distances is not None:
+        modifier.collision_settings.distance_min, modifier.collision_settings.self_distance_min = distances
     modifier.point_cache.frame_start, modifier.point_cache.frame_end = 1, stage.frame_count
     return ob
-
-
-def collide(stage: Stage, collides: bool) -> None:
-    """Whether Blender's Cloth meets the body; costs time in every frame, so only while there is any."""
-    modifier: Any = stage.body.modifiers.get("Collision")
-    if collides and modifier is None:
-        stage.body.modifiers.new("Collision", "COLLISION")
-        stage.body.collision.thickness_outer = CLOTH_DISTANCE
-    elif not collides and modifier is not None:
-        stage.body.modifiers.remove(modifier)
 
 
 def simulate_cloth(stage: Stage, name: str, frame_count: int) -> list[float]:
     """Seconds that Blender takes for each frame of a Cloth garment after the first, in order."""
     stage.show(name)
-    collide(stage, True)
+    # Costs time in every frame, so only while there is any Cloth.
+    collision = stage.body.modifiers.new("Collision", "COLLISION")
+    stage.body.collision.thickness_outer = stage.garments[name].modifiers["Cloth"].collision_settings.distance_min
     stage.play(1)
     seconds = []
     for frame in range(2, 2 + frame_count):
         started = time.perf_counter()
         stage.play(frame)
         seconds.append(time.perf_counter() - started)
-    collide(stage, False)
+    stage.body.modifiers.remove(collision)
     return seconds
 
 

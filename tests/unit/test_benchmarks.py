@@ -15,7 +15,7 @@ FOLDER = Path(__file__).parents[2] / "benchmarks"
 FIGURES = {
     "synthesis": ("ms", "ratio_to_bandwidth"),
     "frame": ("fps",),
-    "peers": ("times_faster_than_blender_cloth", "ratio_to_shape_keys"),
+    "peers": ("times_faster_than_cloth", "ratio_to_shape_keys"),
     "sample": ("seconds",),
 }
 

@@ -12,7 +12,7 @@ from bpy.app.handlers import persistent
 
 from . import playback
 from .node_group import NO_FRAME, find_modifier, get_input, set_input
-from .write import show_skinned
+from .write import show_skinned, wake_skinning
 
 RENDER_FAILED = 3
 """Exit code of a background process in which a garment could not be played."""
@@ -31,6 +31,7 @@ def suspended() -> Iterator[None]:
     taken = [(handlers, handler) for handlers, handler in playing if handler in handlers]
     for handlers, handler in taken:
         handlers.remove(handler)
+    end_animation()
     try:
         yield
     finally:
@@ -70,6 +71,18 @@ def play_changes(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None
         playback.play_scene(scene, depsgraph, only_changes=True)
 
 
+@persistent
+def begin_animation(scene: bpy.types.Scene | None = None, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """A window plays the animation from now on: a frame follows a frame, and all of them come by here."""
+    playback.let_skinning_rest(True)
+
+
+@persistent
+def end_animation(scene: bpy.types.Scene | None = None, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """The animation stands still; modifiers are as the artist left them."""
+    playback.let_skinning_rest(False)
+
+
 # --- the file -----------------------------------------------------------------------------------------------------
 
 
@@ -77,6 +90,7 @@ def play_changes(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None
 def forget_file(path: str, unused: object = None) -> None:
     """Another file was opened; a window shows its garments as saved, skinned, until something is tagged."""
     playback.forget_all()
+    end_animation()
     _play_soon()
 
 
@@ -96,6 +110,7 @@ def _tag_garments() -> None:
 def doubt_file(scene: bpy.types.Scene, unused: object = None) -> None:
     """Undo or redo replaced the file's data."""
     playback.doubt_all()
+    end_animation()
 
 
 @persistent
@@ -103,6 +118,7 @@ def hide_played(path: str, unused: object = None) -> None:
     """Save garments as skinned, so that a file opened without the add-on never shows a frozen pose."""
     _saved_frames.clear()
     for garment, modifier in _modifiers():
+        wake_skinning(garment)
         _saved_frames[garment.session_uid] = get_input(modifier, "Frame")
         set_input(modifier, "Frame", NO_FRAME)
 
@@ -125,6 +141,8 @@ def _modifiers() -> Iterator[tuple[bpy.types.Object, bpy.types.NodesModifier]]:
 HANDLERS: dict[str, Callable[..., None]] = {
     "frame_change_post": play_frame,
     "depsgraph_update_post": play_changes,
+    "animation_playback_pre": begin_animation,
+    "animation_playback_post": end_animation,
     "load_post": forget_file,
     "undo_post": doubt_file,
     "redo_post": doubt_file,

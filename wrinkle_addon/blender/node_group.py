@@ -65,6 +65,16 @@ def get_input(modifier: bpy.types.NodesModifier, name: str) -> float:
     return modifier[identifier]
 
 
+def shows_all(modifier: bpy.types.NodesModifier) -> bool:
+    """Whether nothing of the skinned shape is left to see where played positions are shown: no factor, no mask."""
+    identifier = _identifier(modifier, "Mask")
+    if _inputs_are_properties():
+        masked = getattr(modifier.properties.inputs, identifier).type == "ATTRIBUTE"
+    else:
+        masked = bool(modifier.get(f"{identifier}_use_attribute", False))
+    return not masked and min(get_input(modifier, "Factor"), get_input(modifier, "Mask")) >= 1.0
+
+
 def set_mask(modifier: bpy.types.NodesModifier, vertex_group: str) -> None:
     """Show wrinkles by the weights of a vertex group; everywhere for an empty name."""
     identifier = _identifier(modifier, "Mask")

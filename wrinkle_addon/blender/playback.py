@@ -23,9 +23,9 @@ from ..joint_wrinkles import Formulation, JointWrinkles
 from ..rig import FloatArray, Pose
 from .armature import PoseReader, rig_scale
 from .matching import check_mesh, match_rig
-from .node_group import find_modifier
+from .node_group import find_modifier, shows_all
 from .preferences import device_name
-from .write import make_writable, show_positions, show_skinned
+from .write import make_writable, rest_skinning, show_positions, show_skinned, wake_skinning
 
 
 @dataclass(frozen=True)
@@ -148,6 +148,9 @@ class Player:
             wp.copy(self._host, self._positions)
             wp.synchronize_device(self._positions.device)
         show_positions(garment, self._host_view, frame)
+        modifier = find_modifier(evaluated)
+        covered = modifier is not None and shows_all(modifier)
+        (rest_skinning if covered and _animation.plays else wake_skinning)(garment)
         self._inputs = inputs
 
     def _placement(self, garment: bpy.types.Object, armature: bpy.types.Object) -> FloatArray:
@@ -235,7 +238,10 @@ def _play_garment(
         _doubt(known)
         show_skinned(garment)
         return
-    if not garment.evaluated_get(depsgraph).is_evaluated or not _is_shown(garment, depsgraph):
+    if not garment.evaluated_get(depsgraph).is_evaluated:
+        return
+    if not _is_shown(garment, depsgraph):
+        wake_skinning(garment)
         return
     source = Source.of(garment)
     armature = garment.wrinkles.armature.evaluated_get(depsgraph)
@@ -290,6 +296,25 @@ def _doubt(known: Status) -> None:
     known.failed = None
     if known.player is not None:
         known.player.doubt()
+
+
+@dataclass
+class Animation:
+    """Whether a window plays the animation: then a frame follows a frame, and each is played here."""
+
+    plays: bool = False
+
+
+_animation = Animation()
+
+
+def let_skinning_rest(may: bool) -> None:
+    """Whether garments go without their Armature modifiers where nobody sees them; all get them back if not."""
+    _animation.plays = may
+    if not may:
+        for ob in bpy.data.objects:
+            if ob.type == "MESH":
+                wake_skinning(ob)
 
 
 def doubt(garment: bpy.types.Object) -> None:

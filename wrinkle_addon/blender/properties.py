@@ -145,6 +145,9 @@ class GarmentSettings(bpy.types.PropertyGroup):
         update=_played_anew,
     )
     joints: bpy.props.CollectionProperty(type=JointSettings, override=_OVERRIDABLE)
+    skinning_rests: bpy.props.BoolProperty(
+        options={"HIDDEN"}, description="The Armature modifier is off as long as the animation plays"
+    )
     notes: bpy.props.StringProperty(description="Sentences on joints that were not found, one a line")
     active_joint: bpy.props.IntProperty()
     plan: bpy.props.EnumProperty(name="Plan", items=PLANS, default="PAPER")

@@ -49,7 +49,36 @@ def show_positions(garment: bpy.types.Object, positions: NDArray[np.float32], fr
 
 def show_skinned(garment: bpy.types.Object) -> None:
     """Let the skinned garment through until positions are shown again."""
+    wake_skinning(garment)
     modifier = find_modifier(garment)
     if modifier is not None and get_input(modifier, "Frame") != NO_FRAME:
         set_input(modifier, "Frame", NO_FRAME)
         garment.update_tag(refresh={"DATA"})
+
+
+# --- skinning that nobody sees ------------------------------------------------------------------------------------
+
+
+def rest_skinning(garment: bpy.types.Object) -> None:
+    """Switch off the viewport's Armature modifier of a garment whose played positions cover all that it does.
+
+    Blender would evaluate it twice a frame, before and after the positions are written: a third of a frame's time.
+    One that the artist switched off is left alone.
+    """
+    armatures = [] if garment.wrinkles.skinning_rests else _armature_modifiers(garment)
+    if armatures and all(armature.show_viewport for armature in armatures):
+        garment.wrinkles.skinning_rests = True
+        for armature in armatures:
+            armature.show_viewport = False
+
+
+def wake_skinning(garment: bpy.types.Object) -> None:
+    """Switch on again what :func:`rest_skinning` switched off."""
+    if garment.wrinkles.skinning_rests:
+        garment.wrinkles.skinning_rests = False
+        for armature in _armature_modifiers(garment):
+            armature.show_viewport = True
+
+
+def _armature_modifiers(garment: bpy.types.Object) -> list[bpy.types.ArmatureModifier]:
+    return [modifier for modifier in garment.modifiers if modifier.type == "ARMATURE"]
