@@ -21,7 +21,7 @@ SHAPE_KEYS = 50
 CLOTH_FRAMES = {"cloth": 6, "tuned_cloth": 12, "self_collision": 2, "tuned_self_collision": 6}
 CLOTH_QUALITY = 5
 """Steps a frame: Blender's own setting."""
-LEAST_TIMES = {"cloth": 300.0, "tuned_cloth": 300.0, "self_collision": 2000.0, "tuned_self_collision": 2000.0}
+LEAST_TIMES = {"cloth": 300.0, "self_collision": 2000.0}
 NAMES = {
     "wrinkles": "wrinkles",
     "shape_keys": f"{SHAPE_KEYS} shape keys",
