@@ -356,9 +356,7 @@ class ClothSimulation:
     def _evaluate_gradient(self) -> wp.array:
         self._deform()
         contact = self._contact
-        self._launch(
-            assembly.pair_forces, self.shape, [self._positions, self._garment, contact.frozen], [contact.pair_force]
-        )
+        self._push_pairs()
         self._launch(
             assembly.gradient,
             self.shape,
@@ -370,7 +368,13 @@ class ClothSimulation:
     def _evaluate_energy(self) -> FloatArray:
         """Incremental potential of each world [J], shape [world_count]."""
         self._deform()
-        self._launch(assembly.vertex_energies, self.shape, self._potential(), [self._vertex_energy])
+        self._push_pairs()
+        self._launch(
+            assembly.vertex_energies,
+            self.shape,
+            [*self._potential(), self._contact.pair_energy],
+            [self._vertex_energy],
+        )
         return self._vertex_energy.numpy().sum(1) + self._triangle_energy.numpy().sum(1)
 
     def _potential(self) -> list:
@@ -392,6 +396,15 @@ class ClothSimulation:
             (self.world_count, self.model.triangle_count),
             [self._positions, g.faces, g.rest_inverse, g.rest_area, g.stiffness],
             [self._deformation, self._stress, self._triangle_energy],
+        )
+
+    def _push_pairs(self) -> None:
+        contact = self._contact
+        self._launch(
+            assembly.pair_forces,
+            len(contact.pair_force),
+            [self._positions.flatten(), contact.frozen],
+            [contact.pair_energy, contact.pair_force],
         )
 
     @contextmanager

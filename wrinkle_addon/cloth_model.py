@@ -189,6 +189,13 @@ def group(owners: NDArray[np.integer], owner_count: int) -> tuple[IntArray, IntA
     return _row_starts(np.sort(owners), owner_count), np.argsort(owners, kind="stable").astype(np.int32)
 
 
+def mesh_edges(faces: IntArray) -> tuple[IntArray, IntArray]:
+    """Every edge once, shape [edge_count, 2], and the edge of each triangle's sides 01, 12, 20, [triangle_count, 3]."""
+    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, edge_of_side = np.unique(sides, axis=0, return_inverse=True)
+    return edges.astype(np.int32), edge_of_side.reshape(-1, 3).astype(np.int32)
+
+
 def _row_starts(sorted_rows: NDArray[np.integer], row_count: int) -> IntArray:
     return np.searchsorted(sorted_rows, np.arange(row_count + 1)).astype(np.int32)
 

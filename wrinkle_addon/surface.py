@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..kernels.curvature import mean_curvature
 from ..kernels.intersections import mark_cut_triangles
-from .cloth_model import FloatArray, IntArray, group
+from .cloth_model import FloatArray, IntArray, group, mesh_edges
 from .garment import bind_to_surface
 
 
@@ -33,8 +33,7 @@ class SurfaceMeasures:
     @cached_property
     def edges(self) -> IntArray:
         """Every edge once, shape [edge_count, 2]."""
-        pairs = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]])
-        return np.unique(np.sort(pairs, 1), axis=0).astype(np.int32)
+        return mesh_edges(self.faces)[0]
 
     def mean_curvature(self, positions: FloatArray) -> NDArray[np.float32]:
         """|H| at every vertex [1/m], shape [vertex_count]; on open borders it holds the border's own bend too."""
