@@ -33,7 +33,7 @@ from .garment import Body, Garment, bind_to_surface, check_fit, check_surface, f
 from .joints import find_joints
 from .plan import Sample, SamplePlan
 from .rig import FloatArray, Pose, Rig, pose_between, pose_of_angles
-from .surface import SurfaceMeasures
+from .surface import BodyVolume, SurfaceMeasures
 
 SOLVER_VERSION = 1
 """Raised whenever the solver gives other samples for the same input, so that old ones are not taken for new."""
@@ -341,6 +341,7 @@ class Wearer:
         )
         self._pose = Pose.at_rest(rig)
         self._surface = SurfaceMeasures(garment.faces, garment.vertex_count)
+        self._body_faces = body.faces
         self.simulation = ClothSimulation(
             model,
             body.faces,
@@ -427,12 +428,20 @@ class Wearer:
         }
 
     def lie(self) -> dict[str, Any]:
-        """How the garment lies: vertices more than 1 mm inside the body, the deepest [mm], triangles that it cuts."""
-        clearance = self.simulation.clearance()[0]
+        """How the garment lies: vertices more than 1 mm inside the body, the deepest [mm], pairs of its triangles that
+        intersect. Those where the body cuts into itself, so that no place is free, are counted apart ("overlap").
+        """
+        positions, limit = self.positions, 0.001
+        body = BodyVolume(self.simulation.body_positions[0], self._body_faces)
+        depth, overlap = body.depth(positions, limit)
+        pairs = self._surface.self_intersections(positions)
+        _, between = body.depth(positions[self.garment.faces[pairs]].mean((1, 2)), limit)
         return {
-            "inside": int((clearance < -0.001).sum()),
-            "deepest_mm": round(float(max(0.0, -clearance.min()) * 1e3), 3),
-            "self_intersections": len(self._surface.self_intersections(self.positions)),
+            "inside": int((depth > limit)[~overlap].sum()),
+            "inside_overlap": int((depth > limit)[overlap].sum()),
+            "deepest_mm": round(float(depth[~overlap].max(initial=0.0) * 1e3), 3),
+            "self_intersections": int((~between).sum()),
+            "self_intersections_overlap": int(between.sum()),
         }
 
     def _place(self, pose: Pose) -> None:

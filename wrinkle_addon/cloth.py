@@ -142,6 +142,11 @@ class ClothSimulation:
         """Vertex positions [m], shape [world_count, vertex_count, 3]; a copy."""
         return self._positions.numpy().copy()
 
+    @property
+    def body_positions(self) -> NDArray[np.float32]:
+        """Body vertices [m], shape [world_count, body_vertex_count, 3]; a copy."""
+        return self._contact.body_positions
+
     def start(self, positions: ArrayLike, velocities: ArrayLike | None = None) -> None:
         """Begin from these positions [m] and velocities [m/s] with no memory of earlier contact.
 

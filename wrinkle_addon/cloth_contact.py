@@ -103,6 +103,11 @@ class ContactSearch:
             [self._body_normals],
         )
 
+    @property
+    def body_positions(self) -> NDArray[np.float32]:
+        """The body as it was put [m], shape [world_count, body_vertex_count, 3]; a copy."""
+        return self._body_points.numpy().copy()
+
     def set_outward(self, directions: FloatArray) -> None:
         """Outward unit vectors of the garment's vertices, shape [world_count, vertex_count, 3]."""
         self._outward.assign(directions.astype(np.float32))
