@@ -40,6 +40,9 @@ SOLVER_VERSION = 1
 
 STATES = "states"
 
+UNTANGLINGS = 3
+"""How often a garment that settles with its layers through each other is drawn apart."""
+
 SLIDE = 0.08
 """How far cloth may slide from the limb that it lies on in the rest pose onto another one [m]."""
 
@@ -408,22 +411,25 @@ class Wearer:
     def settle(self, tolerance: float | None = None, trapped: float | None = None) -> dict[str, Any]:
         """Bring the garment to equilibrium; reports how close it came and how it lies.
 
+        Where it has passed through itself it is drawn apart and settles again, a few times at most.
+
         Args:
             tolerance: Residual to stop at, in nodal weights; left out, that of a sample.
             trapped: Share of the vertices that need not come to rest; left out, that of a sample.
         """
         settings = self.settings
-        report = self.simulation.settle(
-            settings.settle_tolerance if tolerance is None else tolerance,
-            settings.settle_iterations,
-            trapped=settings.trapped if trapped is None else trapped,
-        )
+        tolerance = settings.settle_tolerance if tolerance is None else tolerance
+        trapped = settings.trapped if trapped is None else trapped
+        reports = [self.simulation.settle(tolerance, settings.settle_iterations, trapped=trapped)]
+        while len(reports) <= UNTANGLINGS and self.simulation.untangle():
+            reports.append(self.simulation.settle(tolerance, settings.settle_iterations, trapped=trapped))
         return {
-            "residual": round(report.residual, 4),
-            "whole_residual": round(report.whole_residual, 4),
-            "converged": report.converged,
-            "iterations": report.iterations,
-            "linear_iterations": report.linear_iterations,
+            "residual": round(reports[-1].residual, 4),
+            "whole_residual": round(reports[-1].whole_residual, 4),
+            "converged": reports[-1].converged,
+            "iterations": sum(report.iterations for report in reports),
+            "linear_iterations": sum(report.linear_iterations for report in reports),
+            "untanglings": len(reports) - 1,
             **self.lie(),
         }
 

@@ -21,6 +21,8 @@ from ..kernels.cloth import assembly, membrane
 from .cloth_contact import ContactSearch, ContactSettings, Limbs
 from .cloth_model import ClothModel, FloatArray, IntArray
 from .linear_solver import BlockSystem
+from .surface import BodyVolume, SurfaceMeasures
+from .untangling import untangle
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -122,6 +124,8 @@ class ClothSimulation:
             raise ValueError("The body has no faces to collide with.")
         self._garment = self._upload_garment(pin_stiffness)
         self._allocate_state()
+        self._surface = SurfaceMeasures(model.faces, model.vertex_count)
+        self._body_faces = body_faces
         self._body_count = np.shape(body_positions)[-2]
         self._contact = ContactSearch(
             model,
@@ -229,6 +233,8 @@ class ClothSimulation:
     def follow(self, body_positions: ArrayLike, carried: ArrayLike, dt: float = 1.0 / 30.0) -> None:
         """Advance without inertia while the body moves: the garment is carried along and then relaxes.
 
+        What has passed through itself on the way is drawn apart again.
+
         Args:
             body_positions: The body's next positions [m].
             carried: The garment moved along with the body [m], from which it relaxes.
@@ -237,7 +243,29 @@ class ClothSimulation:
         self.move_body(body_positions)
         self._positions.assign(self._per_world(carried, "carried"))
         self._minimise(self.positions, dt)
+        self.untangle()
         self._velocities.zero_()
+
+    def untangle(self) -> int:
+        """Draw layers of the garment apart that have passed through each other, but not where the body does, too.
+
+        Returns how many edges pierced triangles in all worlds before; 0 says that nothing has changed.
+        """
+        if self.contact_settings.self_thickness == 0.0:
+            return 0
+        # A third of the thickness a pass, so that no layer is thrown over its neighbour.
+        step = self.contact_settings.self_thickness / 3.0
+        positions, body_positions = self.positions, None
+        found = 0
+        for world in range(self.world_count):
+            if len(self._surface.self_crossings(positions[world])[0]):
+                body_positions = self.body_positions if body_positions is None else body_positions
+                body = BodyVolume(body_positions[world], self._body_faces)
+                positions[world], pierced = untangle(positions[world], self._surface, step, body)
+                found += int(pierced[0])
+        if found:
+            self._positions.assign(positions)
+        return found
 
     def settle(self, tolerance: float = 1.0, max_iterations: int = 60, *, trapped: float = 0.0) -> SettleReport:
         """Go to static equilibrium with the body at rest.

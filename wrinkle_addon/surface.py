@@ -54,7 +54,7 @@ class SurfaceMeasures:
         so that the opposite edge of one passes through the other; those that share an edge count as one surface.
         """
         edge, face = self.self_crossings(positions)
-        sides = self._triangles_of_edges[edge]
+        sides = self.triangles_of_edges[edge]
         pairs = np.stack([sides, np.broadcast_to(face[:, None], sides.shape)], 2).reshape(-1, 2)
         return np.unique(np.sort(pairs[pairs[:, 0] >= 0], axis=1), axis=0)
 
@@ -67,7 +67,7 @@ class SurfaceMeasures:
         return len(np.unique(self._crossings(positions, body, body_faces, same=False)[0]))
 
     @cached_property
-    def _triangles_of_edges(self) -> IntArray:
+    def triangles_of_edges(self) -> IntArray:
         """Triangles on both sides of every edge, -1 where there is none, shape [edge_count, most]."""
         edge_of_side = mesh_edges(self.faces)[1]
         start, sides = group(edge_of_side.ravel(), len(self.edges))
