@@ -32,6 +32,9 @@ STANDARD_GRAVITY = 9.80665
 # A time step this long [s] has next to no inertia against the stiffness of any fabric.
 MASSLESS_SPAN = 10.0
 
+# A vertex that ends a step deeper in the body than this [m] is put on its skin.
+EXPELLED_DEPTH = 0.001
+
 
 @dataclass(frozen=True)
 class SolverSettings:
@@ -353,6 +356,8 @@ class ClothSimulation:
         for _ in range(self.solver_settings.newton_iterations):
             self._contact.find(self._positions, self._none)
             self._newton_step()
+        # What a fast body has run over in spite of all must not go on into it, nor come out on its other side.
+        self._contact.expel(self._positions, EXPELLED_DEPTH)
         # Only now: a search that overshoots and comes back must not drag the anchors along.
         self._contact.follow(self._positions, self._moving)
 

@@ -19,7 +19,8 @@ class ContactSettings:
 
     Attributes:
         thickness: Distance from the body at which contact begins [m].
-        pressure: Pressure that holds the garment off when it is pressed down to the surface itself [Pa].
+        pressure: Pressure that holds the garment off when it is pressed down to the surface itself [Pa]. Tight elastic
+            garments press with up to 5 kPa; the folds of a bent limb with more.
         depth: Depth inside the body beyond which the force stops growing [m].
         slip: How far a vertex gives before static friction lets go [m].
         radius: How far around a vertex the body is looked for [m].
@@ -29,7 +30,7 @@ class ContactSettings:
     """
 
     thickness: float = 0.003
-    pressure: float = 3.0e3
+    pressure: float = 2.0e4
     depth: float = 0.01
     slip: float = 0.0005
     radius: float = 0.04
@@ -80,7 +81,7 @@ class ContactSearch:
         self.settings = settings
         self._device = area.device
         self._area, self._faces = area, faces
-        self._friction = model.fabric.friction
+        self._fabric = model.fabric
         self._shape = (len(body_positions), model.vertex_count)
         self._make_body(body_faces, body_positions)
         limbs = limbs or Limbs(np.zeros(len(body_faces), np.int32), np.full(model.vertex_count, 1, np.int32))
@@ -148,7 +149,8 @@ class ContactSearch:
                 wp.float64(settings.thickness),
                 wp.float64(settings.pressure),
                 wp.float64(settings.depth),
-                wp.float64(self._friction),
+                wp.float64(self._fabric.friction),
+                wp.float64(self._fabric.holding_friction),
                 wp.float64(settings.slip),
                 following,
                 self.anchor_face,
@@ -156,6 +158,12 @@ class ContactSearch:
             ],
             [c.anchor, c.friction_bound],
         )
+
+    def expel(self, positions: wp.array, limit: float) -> None:
+        """Put vertices deeper in the body than ``limit`` [m] on its skin, unless a fold's other side is there."""
+        self._find_planes(positions)
+        c = self.frozen
+        self._launch(contact.expel_vertices, self._shape, [c.face, c.point, c.normal, wp.float64(limit), positions], [])
 
     def hold(self, gradient: wp.array) -> None:
         """Place the anchors of the planes found last so that friction balances a gradient [N] taken without it."""

@@ -28,7 +28,7 @@ def tangled_scene(device, world_count=1):
         model,
         body_faces,
         body,
-        contact_settings=ContactSettings(slip=0.001),
+        contact_settings=ContactSettings(slip=0.001, pressure=3.0e3),
         pin_stiffness=pins,
         world_count=world_count,
         device=device,
