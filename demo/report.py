@@ -127,7 +127,7 @@ def _bake(report: Mapping[str, Any]) -> str:
             f"- Worst residual {info['worst_residual']} nodal weights; "
             f"{info['unconverged']} samples missed their tolerance.",
             f"- Worst sample: {info['inside']} vertices more than 1 mm inside the body, {info['self_intersections']} "
-            "self-intersecting triangles.",
+            "pairs of triangles that intersect, not counting where the body cuts into itself.",
         ]
     )
 

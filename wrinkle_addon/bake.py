@@ -33,12 +33,15 @@ from .garment import Body, Garment, bind_to_surface, check_fit, check_surface, f
 from .joints import find_joints
 from .plan import Sample, SamplePlan
 from .rig import FloatArray, Pose, Rig, pose_between, pose_of_angles
-from .surface import SurfaceMeasures
+from .surface import BodyVolume, SurfaceMeasures
 
 SOLVER_VERSION = 2
 """Raised whenever the solver gives other samples for the same input, so that old ones are not taken for new."""
 
 STATES = "states"
+
+UNTANGLINGS = 3
+"""How often a garment that settles with its layers through each other is drawn apart."""
 
 SLIDE = 0.08
 """How far cloth may slide from the limb that it lies on in the rest pose onto another one [m]."""
@@ -341,6 +344,7 @@ class Wearer:
         )
         self._pose = Pose.at_rest(rig)
         self._surface = SurfaceMeasures(garment.faces, garment.vertex_count)
+        self._body_faces = body.faces
         self.simulation = ClothSimulation(
             model,
             body.faces,
@@ -407,32 +411,43 @@ class Wearer:
     def settle(self, tolerance: float | None = None, trapped: float | None = None) -> dict[str, Any]:
         """Bring the garment to equilibrium; reports how close it came and how it lies.
 
+        Where it has passed through itself it is drawn apart and settles again, a few times at most.
+
         Args:
             tolerance: Residual to stop at, in nodal weights; left out, that of a sample.
             trapped: Share of the vertices that need not come to rest; left out, that of a sample.
         """
         settings = self.settings
-        report = self.simulation.settle(
-            settings.settle_tolerance if tolerance is None else tolerance,
-            settings.settle_iterations,
-            trapped=settings.trapped if trapped is None else trapped,
-        )
+        tolerance = settings.settle_tolerance if tolerance is None else tolerance
+        trapped = settings.trapped if trapped is None else trapped
+        reports = [self.simulation.settle(tolerance, settings.settle_iterations, trapped=trapped)]
+        while len(reports) <= UNTANGLINGS and self.simulation.untangle():
+            reports.append(self.simulation.settle(tolerance, settings.settle_iterations, trapped=trapped))
         return {
-            "residual": round(report.residual, 4),
-            "whole_residual": round(report.whole_residual, 4),
-            "converged": report.converged,
-            "iterations": report.iterations,
-            "linear_iterations": report.linear_iterations,
+            "residual": round(reports[-1].residual, 4),
+            "whole_residual": round(reports[-1].whole_residual, 4),
+            "converged": reports[-1].converged,
+            "iterations": sum(report.iterations for report in reports),
+            "linear_iterations": sum(report.linear_iterations for report in reports),
+            "untanglings": len(reports) - 1,
             **self.lie(),
         }
 
     def lie(self) -> dict[str, Any]:
-        """How the garment lies: vertices more than 1 mm inside the body, the deepest [mm], triangles that it cuts."""
-        clearance = self.simulation.clearance()[0]
+        """How the garment lies: vertices more than 1 mm inside the body, the deepest [mm], pairs of its triangles that
+        intersect. Those where the body cuts into itself, so that no place is free, are counted apart ("overlap").
+        """
+        positions, limit = self.positions, 0.001
+        body = BodyVolume(self.simulation.body_positions[0], self._body_faces)
+        depth, overlap = body.depth(positions, limit)
+        pairs = self._surface.self_intersections(positions)
+        _, between = body.depth(positions[self.garment.faces[pairs]].mean((1, 2)), limit)
         return {
-            "inside": int((clearance < -0.001).sum()),
-            "deepest_mm": round(float(max(0.0, -clearance.min()) * 1e3), 3),
-            "self_intersections": len(self._surface.self_intersections(self.positions)),
+            "inside": int((depth > limit)[~overlap].sum()),
+            "inside_overlap": int((depth > limit)[overlap].sum()),
+            "deepest_mm": round(float(depth[~overlap].max(initial=0.0) * 1e3), 3),
+            "self_intersections": int((~between).sum()),
+            "self_intersections_overlap": int(between.sum()),
         }
 
     def _place(self, pose: Pose) -> None:

@@ -21,6 +21,8 @@ from ..kernels.cloth import assembly, membrane
 from .cloth_contact import ContactSearch, ContactSettings, Limbs
 from .cloth_model import ClothModel, FloatArray, IntArray
 from .linear_solver import BlockSystem
+from .surface import BodyVolume, SurfaceMeasures
+from .untangling import untangle
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -29,6 +31,9 @@ STANDARD_GRAVITY = 9.80665
 
 # A time step this long [s] has next to no inertia against the stiffness of any fabric.
 MASSLESS_SPAN = 10.0
+
+# A vertex that ends a step deeper in the body than this [m] is put on its skin.
+EXPELLED_DEPTH = 0.001
 
 
 @dataclass(frozen=True)
@@ -124,6 +129,8 @@ class ClothSimulation:
             raise ValueError("The body has no faces to collide with.")
         self._garment = self._upload_garment(pin_stiffness)
         self._allocate_state()
+        self._surface = SurfaceMeasures(model.faces, model.vertex_count)
+        self._body_faces = body_faces
         self._body_count = np.shape(body_positions)[-2]
         self._contact = ContactSearch(
             model,
@@ -143,6 +150,11 @@ class ClothSimulation:
     def positions(self) -> FloatArray:
         """Vertex positions [m], shape [world_count, vertex_count, 3]; a copy."""
         return self._positions.numpy().copy()
+
+    @property
+    def body_positions(self) -> NDArray[np.float32]:
+        """Body vertices [m], shape [world_count, body_vertex_count, 3]; a copy."""
+        return self._contact.body_positions
 
     def start(self, positions: ArrayLike, velocities: ArrayLike | None = None) -> None:
         """Begin from these positions [m] and velocities [m/s] with no memory of earlier contact.
@@ -226,6 +238,8 @@ class ClothSimulation:
     def follow(self, body_positions: ArrayLike, carried: ArrayLike, dt: float = 1.0 / 30.0) -> None:
         """Advance without inertia while the body moves: the garment is carried along and then relaxes.
 
+        What has passed through itself on the way is drawn apart again.
+
         Args:
             body_positions: The body's next positions [m].
             carried: The garment moved along with the body [m], from which it relaxes.
@@ -234,7 +248,29 @@ class ClothSimulation:
         self.move_body(body_positions)
         self._positions.assign(self._per_world(carried, "carried"))
         self._minimise(self.positions, dt)
+        self.untangle()
         self._velocities.zero_()
+
+    def untangle(self) -> int:
+        """Draw layers of the garment apart that have passed through each other, but not where the body does, too.
+
+        Returns how many edges pierced triangles in all worlds before; 0 says that nothing has changed.
+        """
+        if self.contact_settings.self_thickness == 0.0:
+            return 0
+        # A third of the thickness a pass, so that no layer is thrown over its neighbour.
+        step = self.contact_settings.self_thickness / 3.0
+        positions, body_positions = self.positions, None
+        found = 0
+        for world in range(self.world_count):
+            if len(self._surface.self_crossings(positions[world])[0]):
+                body_positions = self.body_positions if body_positions is None else body_positions
+                body = BodyVolume(body_positions[world], self._body_faces)
+                positions[world], pierced = untangle(positions[world], self._surface, step, body)
+                found += int(pierced[0])
+        if found:
+            self._positions.assign(positions)
+        return found
 
     def settle(self, tolerance: float = 1.0, max_iterations: int = 60, *, trapped: float = 0.0) -> SettleReport:
         """Go to static equilibrium with the body at rest.
@@ -322,6 +358,8 @@ class ClothSimulation:
         for _ in range(self.solver_settings.newton_iterations):
             self._contact.find(self._positions, self._none)
             self._newton_step()
+        # What a fast body has run over in spite of all must not go on into it, nor come out on its other side.
+        self._contact.expel(self._positions, EXPELLED_DEPTH)
         # Only now: a search that overshoots and comes back must not drag the anchors along.
         self._contact.follow(self._positions, self._moving)
 
@@ -400,9 +438,7 @@ class ClothSimulation:
     def _evaluate_gradient(self) -> wp.array:
         self._deform()
         contact = self._contact
-        self._launch(
-            assembly.pair_forces, self.shape, [self._positions, self._garment, contact.frozen], [contact.pair_force]
-        )
+        self._push_pairs()
         self._launch(
             assembly.gradient,
             self.shape,
@@ -414,7 +450,13 @@ class ClothSimulation:
     def _evaluate_energy(self) -> FloatArray:
         """Incremental potential of each world [J], shape [world_count]."""
         self._deform()
-        self._launch(assembly.vertex_energies, self.shape, self._potential(), [self._vertex_energy])
+        self._push_pairs()
+        self._launch(
+            assembly.vertex_energies,
+            self.shape,
+            [*self._potential(), self._contact.pair_energy],
+            [self._vertex_energy],
+        )
         return self._vertex_energy.numpy().sum(1) + self._triangle_energy.numpy().sum(1)
 
     def _potential(self) -> list:
@@ -436,6 +478,15 @@ class ClothSimulation:
             (self.world_count, self.model.triangle_count),
             [self._positions, g.faces, g.rest_inverse, g.rest_area, g.stiffness],
             [self._deformation, self._stress, self._triangle_energy],
+        )
+
+    def _push_pairs(self) -> None:
+        contact = self._contact
+        self._launch(
+            assembly.pair_forces,
+            len(contact.pair_force),
+            [self._positions.flatten(), contact.frozen],
+            [contact.pair_energy, contact.pair_force],
         )
 
     @contextmanager

@@ -10,7 +10,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ..kernels.cloth import assembly, contact, self_contact
-from .cloth_model import ClothModel, FloatArray, IntArray, group
+from .cloth_model import ClothModel, FloatArray, IntArray, group, mesh_edges
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,8 @@ class ContactSettings:
 
     Attributes:
         thickness: Distance from the body at which contact begins [m].
-        pressure: Pressure that holds the garment off when it is pressed down to the surface itself [Pa].
+        pressure: Pressure that holds the garment off when it is pressed down to the surface itself [Pa]. Tight elastic
+            garments press with up to 5 kPa; the folds of a bent limb with more.
         depth: Depth inside the body beyond which the force stops growing [m].
         slip: How far a vertex gives before static friction lets go [m].
         radius: How far around a vertex the body is looked for [m].
@@ -29,7 +30,7 @@ class ContactSettings:
     """
 
     thickness: float = 0.003
-    pressure: float = 3.0e3
+    pressure: float = 2.0e4
     depth: float = 0.01
     slip: float = 0.0005
     radius: float = 0.04
@@ -62,7 +63,7 @@ class ContactSearch:
 
     Attributes:
         frozen: What the last :meth:`find` found, as the kernels read it.
-        pair_force: Room for a force on each self-contact pair [N].
+        pair_energy, pair_force: Room for the energy [J] and the force [N] of each self-contact pair.
         anchor_face, anchor_weights: Where on the body each plane's friction holds on, shape [world_count,
             vertex_count * PLANES]; face -1 where nothing sticks.
     """
@@ -80,7 +81,7 @@ class ContactSearch:
         self.settings = settings
         self._device = area.device
         self._area, self._faces = area, faces
-        self._friction = model.fabric.friction
+        self._fabric = model.fabric
         self._shape = (len(body_positions), model.vertex_count)
         self._make_body(body_faces, body_positions)
         limbs = limbs or Limbs(np.zeros(len(body_faces), np.int32), np.full(model.vertex_count, 1, np.int32))
@@ -102,6 +103,11 @@ class ContactSearch:
             [self._body_points, self._body_faces, self._body_corner_start, self._body_corners],
             [self._body_normals],
         )
+
+    @property
+    def body_positions(self) -> NDArray[np.float32]:
+        """The body as it was put [m], shape [world_count, body_vertex_count, 3]; a copy."""
+        return self._body_points.numpy().copy()
 
     def set_outward(self, directions: FloatArray) -> None:
         """Outward unit vectors of the garment's vertices, shape [world_count, vertex_count, 3]."""
@@ -143,7 +149,8 @@ class ContactSearch:
                 wp.float64(settings.thickness),
                 wp.float64(settings.pressure),
                 wp.float64(settings.depth),
-                wp.float64(self._friction),
+                wp.float64(self._fabric.friction),
+                wp.float64(self._fabric.holding_friction),
                 wp.float64(settings.slip),
                 following,
                 self.anchor_face,
@@ -151,6 +158,12 @@ class ContactSearch:
             ],
             [c.anchor, c.friction_bound],
         )
+
+    def expel(self, positions: wp.array, limit: float) -> None:
+        """Put vertices deeper in the body than ``limit`` [m] on its skin, unless a fold's other side is there."""
+        self._find_planes(positions)
+        c = self.frozen
+        self._launch(contact.expel_vertices, self._shape, [c.face, c.point, c.normal, wp.float64(limit), positions], [])
 
     def hold(self, gradient: wp.array) -> None:
         """Place the anchors of the planes found last so that friction balances a gradient [N] taken without it."""
@@ -202,35 +215,49 @@ class ContactSearch:
         )
 
     def _find_pairs(self, positions: wp.array) -> None:
-        """List the pairs of vertices and triangles within reach."""
+        """List the pairs of vertices and triangles and of edges within reach."""
         c = self.frozen
-        thickness = self.settings.self_thickness
+        worlds, vertices = self._shape
+        thickness, pressure = self.settings.self_thickness, wp.float64(self.settings.pressure)
+        reaches = [self_contact.REACH_THICKNESSES * thickness, self_contact.REST_THICKNESSES * thickness]
         self._launch(self_contact.to_single, self._shape, [positions], [self._points])
-        for mesh in self._garment_meshes:
-            mesh.refit()
-        search = [
-            self._points,
-            self._rest_points,
-            self._faces,
-            self._garment_ids,
-            self._outward,
-            self_contact.REACH_THICKNESSES * thickness,
-            self_contact.REST_THICKNESSES * thickness,
-        ]
-        owners = len(c.pair_count)
-        self._launch(self_contact.count_pairs, self._shape, search, [c.pair_count])
-        wp.utils.array_scan(c.pair_count, c.pair_start, inclusive=False)
-        total = int(c.pair_start[owners - 1 :].numpy()[0] + c.pair_count[owners - 1 :].numpy()[0])
-        if total > len(c.pair_triangle):
+        edges_shape = self._edge_lower.shape
+        self._launch(
+            self_contact.edge_boxes, edges_shape, [self._points, self._edges], [self._edge_lower, self._edge_upper]
+        )
+        for tree in (*self._garment_meshes, *self._edge_trees):
+            tree.refit()
+        points = [self._points, self._rest_points]
+        near = [*points, self._faces, self._garment_ids, self._outward, *reaches]
+        crossing = [*points, self._edges, self._edge_ids, self._outward, *reaches]
+        # Vertices own the pairs with triangles, edges those with later edges.
+        by_vertex, by_edge = self._pair_count[: worlds * vertices], self._pair_count[worlds * vertices :]
+        self._launch(self_contact.count_triangle_pairs, self._shape, near, [by_vertex])
+        self._launch(self_contact.count_edge_pairs, edges_shape, crossing, [by_edge])
+        wp.utils.array_scan(self._pair_count, self._pair_end, inclusive=True)
+        wp.utils.array_scan(self._pair_count, self._pair_start, inclusive=False)
+        wp.copy(c.pair_total, self._pair_end, 0, len(self._pair_end) - 1, 1)
+        total = int(c.pair_total.numpy()[0])
+        if total > len(c.pair_strength):
             self._hold_pairs(total + total // 2)
-        found = [c.pair_triangle, c.pair_weights, c.pair_normal]
-        self._launch(self_contact.fill_pairs, self._shape, [*search, c.pair_start, c.pair_count], found)
-        lists = [self._faces, self._shape[1], c.pair_start, c.pair_count, c.pair_triangle]
+        found = [self._partner, c.pair_vertices, c.pair_weights, c.pair_normal, c.pair_strength]
+        lists = [self._pair_start[: worlds * vertices], by_vertex]
+        self._launch(self_contact.fill_triangle_pairs, self._shape, [*near, self._area, pressure, *lists], found)
+        lists = [self._pair_start[worlds * vertices :], by_edge]
+        self._launch(self_contact.fill_edge_pairs, edges_shape, [*crossing, self._edge_area, pressure, *lists], found)
+        self._list_incident()
+
+    def _list_incident(self) -> None:
+        """For every vertex, the pairs that push it."""
+        c = self.frozen
+        pairs = [c.pair_total, c.pair_vertices]
         c.incident_count.zero_()
-        self._launch(self_contact.count_incident, owners, lists, [c.incident_count])
+        self._launch(self_contact.count_incident, len(c.pair_strength), pairs, [c.incident_count])
         wp.utils.array_scan(c.incident_count, c.incident_start, inclusive=False)
         c.incident_count.zero_()
-        self._launch(self_contact.fill_incident, owners, [*lists, c.incident_start], [c.incident_count, c.incident])
+        found = [c.incident_count, c.incident]
+        self._launch(self_contact.fill_incident, len(c.pair_strength), [*pairs, c.incident_start], found)
+        owners = len(c.incident_count)
         self._launch(self_contact.sort_incident, owners, [c.incident_start, c.incident_count, c.incident], [])
 
     def _make_body(self, faces: IntArray, positions: FloatArray) -> None:
@@ -264,21 +291,36 @@ class ContactSearch:
         worlds, vertices = self._shape
         c = self.frozen
         c.self_thickness = wp.float64(self.settings.self_thickness)
-        c.self_pressure = wp.float64(self.settings.pressure)
-        for name in ("pair_start", "pair_count", "incident_start", "incident_count"):
-            setattr(c, name, self._zeros(worlds * vertices, wp.int32))
+        c.pair_total = self._zeros(1, wp.int32)
+        c.incident_start, c.incident_count = (self._zeros(worlds * vertices, wp.int32) for _ in range(2))
         self._hold_pairs(worlds * vertices)
         rest = np.ascontiguousarray(model.rest_positions[None].astype(np.float32))
         self._rest_points = wp.array(rest, dtype=wp.vec3, device=self._device)
         self._points = wp.array(np.repeat(rest, worlds, 0), dtype=wp.vec3, device=self._device)
         self._garment_meshes, self._garment_ids = self._meshes(self._points, self._faces)
+        self._make_edges(model)
+        owners = worlds * (vertices + self._edges.shape[0])
+        self._pair_count, self._pair_start, self._pair_end = (self._zeros(owners, wp.int32) for _ in range(3))
+
+    def _make_edges(self, model: ClothModel) -> None:
+        """Edges of the garment, the rest area that each stands for [m^2], and a bounding volume tree for each world."""
+        edges, edge_of_side = mesh_edges(model.faces)
+        area = np.bincount(edge_of_side.ravel(), np.repeat(model.rest_area / 3.0, 3), len(edges))
+        self._edges = wp.array(edges, dtype=wp.int32, device=self._device)
+        self._edge_area = wp.array(area, dtype=wp.float64, device=self._device)
+        shape = (self._shape[0], len(edges))
+        self._edge_lower, self._edge_upper = self._zeros(shape, wp.vec3), self._zeros(shape, wp.vec3)
+        self._launch(self_contact.edge_boxes, shape, [self._points, self._edges], [self._edge_lower, self._edge_upper])
+        self._edge_trees = [wp.Bvh(self._edge_lower[world], self._edge_upper[world]) for world in range(shape[0])]
+        self._edge_ids = wp.array([tree.id for tree in self._edge_trees], dtype=wp.uint64, device=self._device)
 
     def _hold_pairs(self, capacity: int) -> None:
         """Make room for this many self-contact pairs."""
         c = self.frozen
-        c.pair_triangle, c.pair_weights = self._zeros(capacity, wp.int32), self._zeros(capacity, wp.vec3)
-        c.pair_normal, c.incident = self._zeros(capacity, wp.vec3), self._zeros(3 * capacity, wp.int32)
-        self.pair_force = self._zeros(capacity, wp.vec3)
+        c.pair_vertices, c.pair_weights = self._zeros(capacity, wp.vec4i), self._zeros(capacity, wp.vec4)
+        c.pair_normal, c.pair_strength = self._zeros(capacity, wp.vec3), self._zeros(capacity, wp.float32)
+        c.incident, self._partner = self._zeros(4 * capacity, wp.int32), self._zeros(capacity, wp.int32)
+        self.pair_energy, self.pair_force = self._zeros(capacity, wp.float64), self._zeros(capacity, wp.vec3)
 
     def _meshes(self, points: wp.array, faces: wp.array) -> tuple[list[wp.Mesh], wp.array]:
         """One bounding volume tree a world over rows of ``points``."""

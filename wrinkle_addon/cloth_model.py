@@ -23,7 +23,8 @@ class Fabric:
         shear: Stiffness against shearing as a share of the isotropic one; woven cloth shears more easily.
         bending: Bending stiffness, moment per width and curvature [N m].
         density: Mass per area [kg/m^2].
-        friction: Coulomb coefficient against the body, static and dynamic (S49).
+        friction: Coulomb coefficient against the body while sliding (W26, S49).
+        static_friction: Coulomb coefficient up to which a resting contact holds (W27); left out, that of sliding.
     """
 
     stretch: float = 120.0
@@ -32,6 +33,7 @@ class Fabric:
     bending: float = 6.0e-5
     density: float = 0.15
     friction: float = 0.3
+    static_friction: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("stretch", "bending", "density"):
@@ -41,6 +43,13 @@ class Fabric:
             raise ValueError(f"The fabric's Poisson ratio must lie in [0, 0.5), not be {self.poisson}.")
         if self.friction < 0.0 or self.shear <= 0.0:
             raise ValueError("The fabric's friction must not be negative and its shear must be greater than 0.")
+        if self.holding_friction < self.friction:
+            raise ValueError("The fabric's static friction must not be smaller than its friction while sliding.")
+
+    @property
+    def holding_friction(self) -> float:
+        """Coulomb coefficient of a resting contact."""
+        return self.friction if self.static_friction is None else self.static_friction
 
     @property
     def stiffness(self) -> tuple[float, float, float, float]:
@@ -187,6 +196,13 @@ def build_cloth_model(
 def group(owners: NDArray[np.integer], owner_count: int) -> tuple[IntArray, IntArray]:
     """Lists of entries by owner: (start, entries) with entries[start[i] : start[i + 1]] owned by i, ascending."""
     return _row_starts(np.sort(owners), owner_count), np.argsort(owners, kind="stable").astype(np.int32)
+
+
+def mesh_edges(faces: IntArray) -> tuple[IntArray, IntArray]:
+    """Every edge once, shape [edge_count, 2], and the edge of each triangle's sides 01, 12, 20, [triangle_count, 3]."""
+    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, edge_of_side = np.unique(sides, axis=0, return_inverse=True)
+    return edges.astype(np.int32), edge_of_side.reshape(-1, 3).astype(np.int32)
 
 
 def _row_starts(sorted_rows: NDArray[np.integer], row_count: int) -> IntArray:

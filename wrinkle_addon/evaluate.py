@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .database import WrinkleDatabase
 from .joint_wrinkles import Formulation, JointEvaluator, JointWrinkles
 from .rig import FloatArray, Pose
-from .surface import SurfaceMeasures, depth_inside
+from .surface import BodyVolume, SurfaceMeasures
 
 OURS = "ours"
 CANDIDATES = ("skinning", "nearest", "paper", OURS)
@@ -102,7 +102,7 @@ def evaluate(
             curvature[name].append(float(surface.mean_curvature(positions.astype(np.float64)).sum(dtype=np.float64)))
         curvature["reference"].append(float(surface.mean_curvature(frame.reference).sum(dtype=np.float64)))
         if frame.body is not None and body_faces is not None:
-            depth = depth_inside(found[OURS].astype(np.float64), frame.body, body_faces)
+            depth, _ = BodyVolume(frame.body, body_faces).depth(found[OURS].astype(np.float64))
             inside.append(float((depth > 0.001).mean()))
             deepest.append(float(depth.max()))
         # Accelerations are those of the garment on the body, so the character's own travel is taken off.
@@ -176,7 +176,8 @@ def _triples(track: Sequence[NDArray[np.float32]]):
 
 def worst_of(reports: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Worst residual, penetration and self-intersection that a reference reported."""
-    keys = ("residual", "whole_residual", "inside", "deepest_mm", "self_intersections")
+    keys = ("residual", "whole_residual", "inside", "inside_overlap", "deepest_mm")
+    keys += ("self_intersections", "self_intersections_overlap")
     worst = {key: max(report[key] for report in reports) for key in keys if all(key in report for report in reports)}
     if all("converged" in report for report in reports):
         worst["converged_frames"] = sum(bool(report["converged"]) for report in reports)

@@ -81,7 +81,7 @@ class BlockSystem:
         ``kept`` is the share of its compressive stress that each world takes into account, shape [world_count]: 1 for
         the exact Hessian, which may be indefinite, 0 for a positive definite one.
         """
-        if len(self._contact.pair_triangle) != len(self.pair_stiffness):
+        if len(self._contact.pair_strength) != len(self.pair_stiffness):
             self._hold_pairs()
         wp.launch(
             assembly.assemble_blocks,
@@ -102,6 +102,12 @@ class BlockSystem:
             assembly.assemble_diagonal,
             dim=self.shape,
             inputs=[positions, self._garment, self._contact, inverse_dt2, self._diagonal_entry, self.blocks],
+            device=self._device,
+        )
+        wp.launch(
+            assembly.pair_stiffnesses,
+            dim=len(self.pair_stiffness),
+            inputs=[positions.flatten(), self._contact],
             outputs=[self.pair_stiffness],
             device=self._device,
         )
@@ -160,8 +166,8 @@ class BlockSystem:
         launch = _launcher(self._device)
         launch(
             linear.pair_products,
-            self.shape,
-            [direction, self._garment.faces, self._contact, self.pair_stiffness],
+            len(self.pair_stiffness),
+            [direction.flatten(), self._contact, self.pair_stiffness],
             [self._pair_force],
         )
         launch(
@@ -190,13 +196,10 @@ class BlockSystem:
         blocks = self.blocks.numpy()[world].astype(np.float64)
         near = sparse.bsr_matrix((blocks, model.columns, model.row_start), shape=shape).tocsr()
         far = sparse.csr_matrix((model.far_coefficients, model.far_columns, model.far_start), shape=(count, count))
-        owners = slice(world * count, (world + 1) * count)
-        start, counts = c.pair_start.numpy()[owners], c.pair_count.numpy()[owners]
-        pairs = np.arange(start[0], start[0] + counts.sum())
-        corners = model.faces[c.pair_triangle.numpy()[pairs]]
-        vertices = np.concatenate([np.repeat(np.arange(count), counts)[:, None], corners], 1)
-        shares = np.concatenate([np.ones((len(pairs), 1)), -c.pair_weights.numpy()[pairs]], 1).astype(np.float64)
-        factors = shares[:, :, None] * c.pair_normal.numpy()[pairs].astype(np.float64)[:, None, :]
+        vertices = c.pair_vertices.numpy()[: int(c.pair_total.numpy()[0])]
+        pairs = np.flatnonzero(vertices[:, 0] // count == world)
+        vertices = vertices[pairs] - world * count
+        factors = c.pair_weights.numpy()[pairs].astype(np.float64)[:, :, None] * c.pair_normal.numpy()[pairs][:, None]
         rows = np.repeat(np.arange(len(pairs)), 12)
         columns = (3 * vertices[:, :, None] + np.arange(3)).ravel()
         jacobian = sparse.csr_matrix((factors.ravel(), (rows, columns)), shape=(len(pairs), 3 * count))
@@ -205,7 +208,7 @@ class BlockSystem:
 
     def _hold_pairs(self) -> None:
         """Make room for as many self-contact pairs as the contact's list now holds."""
-        capacity = len(self._contact.pair_triangle)
+        capacity = len(self._contact.pair_strength)
         self.pair_stiffness = wp.zeros(capacity, dtype=wp.float32, device=self._device)
         self._pair_force = wp.zeros(capacity, dtype=wp.vec3, device=self._device)
         self._recorded: dict[float, wp.Graph] = {}  # Recordings keep the arrays that they were made with.

@@ -9,9 +9,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ..kernels.curvature import mean_curvature
-from ..kernels.intersections import mark_cut_triangles
-from .cloth_model import FloatArray, IntArray, group
-from .garment import bind_to_surface
+from ..kernels.intersections import count_crossings, fill_crossings
+from ..kernels.surface import depth_in_body
+from .cloth_model import FloatArray, IntArray, group, mesh_edges
 
 
 class SurfaceMeasures:
@@ -33,8 +33,7 @@ class SurfaceMeasures:
     @cached_property
     def edges(self) -> IntArray:
         """Every edge once, shape [edge_count, 2]."""
-        pairs = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]])
-        return np.unique(np.sort(pairs, 1), axis=0).astype(np.int32)
+        return mesh_edges(self.faces)[0]
 
     def mean_curvature(self, positions: FloatArray) -> NDArray[np.float32]:
         """|H| at every vertex [1/m], shape [vertex_count]; on open borders it holds the border's own bend too."""
@@ -49,36 +48,87 @@ class SurfaceMeasures:
         return curvature.numpy()
 
     def self_intersections(self, positions: FloatArray) -> IntArray:
-        """Triangles that an edge of the same mesh passes through, ascending."""
-        return self._cut(positions, positions, self.faces, same=True)[0]
+        """Every pair of triangles that pass through each other, once and in order, shape [pair_count, 2].
+
+        Two triangles meet where an edge of one passes through the other. Triangles that share a vertex can meet only
+        so that the opposite edge of one passes through the other; those that share an edge count as one surface.
+        """
+        edge, face = self.self_crossings(positions)
+        sides = self.triangles_of_edges[edge]
+        pairs = np.stack([sides, np.broadcast_to(face[:, None], sides.shape)], 2).reshape(-1, 2)
+        return np.unique(np.sort(pairs[pairs[:, 0] >= 0], axis=1), axis=0)
+
+    def self_crossings(self, positions: FloatArray) -> tuple[IntArray, IntArray]:
+        """Edges of the mesh, and the triangles of the same mesh that they pass through, in order."""
+        return self._crossings(positions, positions, self.faces, same=True)
 
     def body_intersections(self, positions: FloatArray, body: FloatArray, body_faces: IntArray) -> int:
         """Number of this mesh's edges that pass through a triangle of the body."""
-        return len(self._cut(positions, body, body_faces, same=False)[1])
+        return len(np.unique(self._crossings(positions, body, body_faces, same=False)[0]))
 
-    def _cut(
+    @cached_property
+    def triangles_of_edges(self) -> IntArray:
+        """Triangles on both sides of every edge, -1 where there is none, shape [edge_count, most]."""
+        edge_of_side = mesh_edges(self.faces)[1]
+        start, sides = group(edge_of_side.ravel(), len(self.edges))
+        count = np.diff(start)
+        triangles = np.full((len(count), count.max()), -1, np.int32)
+        for k in range(count.max()):
+            has = count > k
+            triangles[has, k] = sides[start[:-1][has] + k] // 3
+        return triangles
+
+    def _crossings(
         self, positions: FloatArray, other: FloatArray, other_faces: IntArray, *, same: bool
     ) -> tuple[IntArray, IntArray]:
-        """Triangles of the other mesh that are cut, and edges of this one that cut."""
-        other_points = _points(other)
+        """Edges of this mesh, and the triangles of the other one that they pass through, in order."""
         faces = wp.array(np.ascontiguousarray(other_faces, np.int32), dtype=wp.int32, device="cpu")
-        mesh = wp.Mesh(points=other_points, indices=faces.flatten())
+        mesh = wp.Mesh(points=_points(other), indices=faces.flatten())
         edges = wp.array(self.edges, dtype=wp.int32, device="cpu")
-        cut = wp.zeros(len(other_faces), dtype=wp.int32, device="cpu")
-        cutting = wp.zeros(len(self.edges), dtype=wp.int32, device="cpu")
+        exact = [
+            wp.array(np.ascontiguousarray(p, np.float64), dtype=wp.vec3d, device="cpu") for p in (positions, other)
+        ]
+        inputs = [exact[0], edges, mesh.id, exact[1], faces, same]
+        count = wp.zeros(len(self.edges), dtype=wp.int32, device="cpu")
+        wp.launch(count_crossings, dim=len(self.edges), inputs=inputs, outputs=[count], device="cpu")
+        counts = count.numpy()
+        start = wp.array(np.cumsum(counts) - counts, dtype=wp.int32, device="cpu")
+        crossed = wp.zeros(int(counts.sum()), dtype=wp.int32, device="cpu")
+        inputs += [start, count]
+        wp.launch(fill_crossings, dim=len(self.edges), inputs=inputs, outputs=[crossed], device="cpu")
+        edge, face = np.repeat(np.arange(len(counts), dtype=np.int32), counts), crossed.numpy()
+        order = np.lexsort((face, edge))
+        return edge, face[order]
+
+
+class BodyVolume:
+    """The inside of a posed body, whose triangles face outwards; it may cut into itself and have small holes."""
+
+    def __init__(self, positions: FloatArray, faces: IntArray):
+        self._positions = _points(positions)
+        self._faces = wp.array(np.ascontiguousarray(faces, np.int32), dtype=wp.int32, device="cpu")
+        self._mesh = wp.Mesh(points=self._positions, indices=self._faces.flatten(), support_winding_number=True)
+
+    def depth(self, points: FloatArray, clear: float = 0.001) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """How deep points lie inside the body, and which of them where the body itself leaves no place.
+
+        Args:
+            points: Where to look [m], shape [point_count, 3].
+            clear: The body leaves no place where it is met again this far above its skin [m].
+
+        Returns:
+            Distance to the closest skin [m], 0 outside, and whether the body covers that skin, both [point_count].
+        """
+        depth = wp.zeros(len(points), dtype=wp.float32, device="cpu")
+        covered = wp.zeros(len(points), dtype=wp.int32, device="cpu")
         wp.launch(
-            mark_cut_triangles,
-            dim=len(self.edges),
-            inputs=[_points(positions), edges, mesh.id, other_points, faces, same],
-            outputs=[cut, cutting],
+            depth_in_body,
+            dim=len(points),
+            inputs=[_points(points), self._mesh.id, self._faces, self._positions, clear],
+            outputs=[depth, covered],
             device="cpu",
         )
-        return np.flatnonzero(cut.numpy()).astype(np.int32), np.flatnonzero(cutting.numpy()).astype(np.int32)
-
-
-def depth_inside(positions: FloatArray, body: FloatArray, body_faces: IntArray) -> NDArray[np.float32]:
-    """How deep each vertex lies inside a closed body [m], 0 outside, shape [vertex_count]."""
-    return np.maximum(-bind_to_surface(positions, body, body_faces).distance, 0.0)
+        return depth.numpy(), covered.numpy().astype(bool)
 
 
 def _points(positions: FloatArray) -> wp.array:

@@ -39,7 +39,8 @@ class Contact:
     """Frozen contact state of one linearisation.
 
     Planes of the body are [world_count, vertex_count * PLANES], each with its own friction. Pairs of the garment with
-    itself lie in one list for all worlds; the lists by vertex have the entry world * vertex_count + vertex.
+    itself lie in one list for all worlds, the first ``pair_total``; each pushes four vertices by signed weights, see
+    ``self_contact``. A vertex is known there as world * vertex_count + vertex.
     """
 
     thickness: wp.float64
@@ -52,30 +53,20 @@ class Contact:
     anchor: wp.array2d[wp.vec3d]
     friction_bound: wp.array2d[wp.float64]
     self_thickness: wp.float64
-    self_pressure: wp.float64
-    pair_start: wp.array[wp.int32]
-    pair_count: wp.array[wp.int32]
-    pair_triangle: wp.array[wp.int32]
-    pair_weights: wp.array[wp.vec3]
+    pair_total: wp.array[wp.int32]
+    pair_vertices: wp.array[wp.vec4i]
+    pair_weights: wp.array[wp.vec4]
     pair_normal: wp.array[wp.vec3]
+    pair_strength: wp.array[wp.float32]
     incident_start: wp.array[wp.int32]
     incident_count: wp.array[wp.int32]
     incident: wp.array[wp.int32]
 
 
 @wp.func
-def pair_gap(
-    positions: wp.array2d[wp.vec3d],
-    garment: Garment,
-    contact: Contact,
-    world: wp.int32,
-    vertex: wp.int32,
-    pair: wp.int32,
-) -> wp.float64:
-    """Distance [m] of a pair's vertex from its plane, which the triangle carries along."""
-    separation = pair_separation(
-        positions, garment.faces, world, vertex, contact.pair_triangle[pair], contact.pair_weights[pair]
-    )
+def pair_gap(positions: wp.array[wp.vec3d], contact: Contact, pair: wp.int32) -> wp.float64:
+    """Distance [m] of a pair's two points along its normal."""
+    separation = pair_separation(positions, contact.pair_vertices[pair], contact.pair_weights[pair])
     return wp.dot(separation, wp.vec3d(contact.pair_normal[pair]))
 
 
@@ -88,10 +79,14 @@ def vertex_energies(
     inertia_target: wp.array2d[wp.vec3d],
     inverse_dt2: wp.array[wp.float64],
     pin_target: wp.array2d[wp.vec3d],
+    pair_energy: wp.array[wp.float64],
     # outputs
     energy: wp.array2d[wp.float64],
 ):
-    """Energy of every vertex [J]: inertia, gravity, pins, its row of bending, contact, friction, self-contact."""
+    """Energy of every vertex [J]: inertia, gravity, pins, its row of bending, contact, friction, self-contact.
+
+    ``pair_energy`` comes from :func:`pair_forces`; a pair's energy is its first vertex's.
+    """
     world, vertex = wp.tid()
     half = wp.float64(0.5)
     x = positions[world, vertex]
@@ -119,43 +114,41 @@ def vertex_energies(
             total += contact_energy(gap, contact.thickness, strength, contact.depth)
             drift = tangential(x - contact.anchor[world, plane], contact.normal[world, plane])
             total += friction_energy(wp.length(drift), contact.friction_bound[world, plane], contact.slip)
-    self_strength = contact.self_pressure * garment.area[vertex]
     owner = world * positions.shape[1] + vertex
-    for pair in range(contact.pair_start[owner], contact.pair_start[owner] + contact.pair_count[owner]):
-        gap = pair_gap(positions, garment, contact, world, vertex, pair)
-        total += contact_energy(gap, contact.self_thickness, self_strength, contact.self_thickness)
+    first = contact.incident_start[owner]
+    for k in range(first, first + contact.incident_count[owner]):
+        if contact.incident[k] % 4 == 0:
+            total += pair_energy[contact.incident[k] // 4]
     energy[world, vertex] = total
 
 
 @wp.kernel
 def pair_forces(
-    positions: wp.array2d[wp.vec3d],
-    garment: Garment,
+    positions: wp.array[wp.vec3d],
     contact: Contact,
     # outputs
+    energy: wp.array[wp.float64],
     force: wp.array[wp.vec3],
 ):
-    """Force of every pair on its vertex [N]; its triangle takes the opposite."""
-    world, vertex = wp.tid()
-    owner = world * positions.shape[1] + vertex
-    strength = contact.self_pressure * garment.area[vertex]
-    for pair in range(contact.pair_start[owner], contact.pair_start[owner] + contact.pair_count[owner]):
-        gap = pair_gap(positions, garment, contact, world, vertex, pair)
-        push = contact_force(gap, contact.self_thickness, strength, contact.self_thickness)
-        force[pair] = wp.float32(push) * contact.pair_normal[pair]
+    """Energy of every pair [J] and its force on its first point [N]; ``positions`` of all worlds in one row."""
+    pair = wp.tid()
+    if pair >= contact.pair_total[0]:
+        return
+    gap = pair_gap(positions, contact, pair)
+    strength = wp.float64(contact.pair_strength[pair])
+    energy[pair] = contact_energy(gap, contact.self_thickness, strength, contact.self_thickness)
+    push = contact_force(gap, contact.self_thickness, strength, contact.self_thickness)
+    force[pair] = wp.float32(push) * contact.pair_normal[pair]
 
 
 @wp.func
 def gather_pairs(force: wp.array[wp.vec3], contact: Contact, owner: wp.int32) -> wp.vec3:
-    """Sum of a per-pair vector on one vertex: its own pairs, minus its share as a corner of others' triangles."""
+    """Sum of a per-pair vector on one vertex, its weight in each."""
     total = wp.vec3()
-    start = contact.pair_start[owner]
-    for pair in range(start, start + contact.pair_count[owner]):
-        total += force[pair]
     start = contact.incident_start[owner]
     for k in range(start, start + contact.incident_count[owner]):
-        pair = contact.incident[k] // 3
-        total -= contact.pair_weights[pair][contact.incident[k] % 3] * force[pair]
+        pair = contact.incident[k] // 4
+        total += contact.pair_weights[pair][contact.incident[k] % 4] * force[pair]
     return total
 
 
@@ -242,10 +235,8 @@ def assemble_diagonal(
     diagonal_entry: wp.array[wp.int32],
     # in and out
     blocks: wp.array2d[wp.mat33],
-    # outputs
-    pair_stiffness: wp.array[wp.float32],
 ):
-    """Add inertia, pins, contact and friction to the diagonal blocks, and find the stiffness of each pair [N/m]."""
+    """Add inertia, pins, contact and friction to the diagonal blocks."""
     world, vertex = wp.tid()
     x = positions[world, vertex]
     total = (garment.mass[vertex] * inverse_dt2[world] + garment.pin_stiffness[vertex]) * wp.identity(
@@ -260,15 +251,18 @@ def assemble_diagonal(
             total += contact_curvature(gap, contact.thickness, strength, contact.depth) * wp.outer(n, n)
             drift = tangential(x - contact.anchor[world, plane], n)
             total += friction_hessian(drift, n, contact.friction_bound[world, plane], contact.slip)
-    self_strength = contact.self_pressure * garment.area[vertex]
-    owner = world * positions.shape[1] + vertex
-    for pair in range(contact.pair_start[owner], contact.pair_start[owner] + contact.pair_count[owner]):
-        gap = pair_gap(positions, garment, contact, world, vertex, pair)
-        pair_stiffness[pair] = wp.float32(
-            contact_curvature(gap, contact.self_thickness, self_strength, contact.self_thickness)
-        )
     entry = diagonal_entry[vertex]
     blocks[world, entry] = blocks[world, entry] + wp.mat33(total)
+
+
+@wp.kernel
+def pair_stiffnesses(positions: wp.array[wp.vec3d], contact: Contact, stiffness: wp.array[wp.float32]):
+    """Stiffness of every pair along its normal [N/m]; ``positions`` of all worlds in one row."""
+    pair = wp.tid()
+    if pair < contact.pair_total[0]:
+        gap = pair_gap(positions, contact, pair)
+        strength = wp.float64(contact.pair_strength[pair])
+        stiffness[pair] = wp.float32(contact_curvature(gap, contact.self_thickness, strength, contact.self_thickness))
 
 
 @wp.kernel
@@ -285,13 +279,10 @@ def precondition_diagonal(
     world, vertex = wp.tid()
     total = blocks[world, diagonal_entry[vertex]]
     owner = world * inverse.shape[1] + vertex
-    for pair in range(contact.pair_start[owner], contact.pair_start[owner] + contact.pair_count[owner]):
-        n = contact.pair_normal[pair]
-        total += pair_stiffness[pair] * wp.outer(n, n)
     start = contact.incident_start[owner]
     for k in range(start, start + contact.incident_count[owner]):
-        pair = contact.incident[k] // 3
-        w = contact.pair_weights[pair][contact.incident[k] % 3]
+        pair = contact.incident[k] // 4
+        w = contact.pair_weights[pair][contact.incident[k] % 4]
         n = contact.pair_normal[pair]
         total += (w * w * pair_stiffness[pair]) * wp.outer(n, n)
     diagonal[world, vertex] = total

@@ -315,6 +315,7 @@ def update_anchors(
     pressure: wp.float64,
     depth: wp.float64,
     friction: wp.float64,
+    holding: wp.float64,
     slip: wp.float64,
     following: wp.array[wp.int32],
     # in and out
@@ -326,9 +327,10 @@ def update_anchors(
 ):
     """Place the friction anchor [m] of each touched plane and freeze its bound mu f_n [N].
 
-    New contacts stick where they are. In worlds that are ``following``, an anchor that a slipping vertex has left
-    behind follows it until the spring holds exactly the bound; it is stored on the body's surface, so that it moves
-    with the body. In the other worlds anchors are read and not written.
+    The coefficient is ``holding`` while the vertex sticks and ``friction`` while it slips. New contacts stick where
+    they are. In worlds that are ``following``, an anchor that a slipping vertex has left behind follows it until the
+    spring holds exactly the bound of slipping; it is stored on the body's surface, so that it moves with the body. In
+    the other worlds anchors are read and not written.
     """
     world, vertex = wp.tid()
     first = vertex * PLANES
@@ -352,7 +354,7 @@ def update_anchors(
         bound = wp.float64(0.0)
         if face[world, plane] >= 0:
             gap = wp.dot(x - point[world, plane], normal[world, plane])
-            bound = friction * contact_force(gap, thickness, pressure * area[vertex], depth)
+            bound = holding * contact_force(gap, thickness, pressure * area[vertex], depth)
         held_face = wp.int32(-1)
         held_weights = wp.vec3()
         anchor = wp.vec3d()
@@ -371,10 +373,12 @@ def update_anchors(
                 drift = x - anchor
                 drift = drift - n * wp.dot(drift, n)
                 length = wp.length(drift)
-                if following[world] != 0 and length > slip:
+                if following[world] == 0 and length > slip:
+                    bound = bound * friction / holding
+                elif length > slip:
                     # Walk from the contact point back towards the old anchor, on the plane of the contact triangle;
                     # the weights may leave the triangle by a little, which is still a point that moves with the body.
-                    anchor = c - drift * (slip / length)
+                    anchor = c - drift * (slip * friction / (holding * length))
                     held_face = found
                     held_weights = plane_weights(
                         wp.vec3(anchor),
@@ -430,6 +434,30 @@ def hold_anchors(
                 body_points[world, body_faces[found, 1]],
                 body_points[world, body_faces[found, 2]],
             )
+
+
+@wp.kernel
+def expel_vertices(
+    face: wp.array2d[wp.int32],
+    point: wp.array2d[wp.vec3d],
+    normal: wp.array2d[wp.vec3d],
+    limit: wp.float64,
+    # in and out
+    positions: wp.array2d[wp.vec3d],
+):
+    """Put vertices that lie deeper in the body than ``limit`` [m] on its skin, unless a fold's other side is there."""
+    world, vertex = wp.tid()
+    first = vertex * PLANES
+    if face[world, first] < 0:
+        return
+    n = normal[world, first]
+    x = positions[world, vertex]
+    gap = wp.dot(x - point[world, first], n)
+    if gap >= -limit:
+        return
+    x = x - n * gap
+    if face[world, first + 1] < 0 or wp.dot(x - point[world, first + 1], normal[world, first + 1]) >= wp.float64(0.0):
+        positions[world, vertex] = x
 
 
 @wp.kernel

@@ -7,8 +7,9 @@ Huber potential with the bound mu f_n frozen,
     D(u) = mu f_n u^2 / (2 s)      for u <= s      (sticking)
     D(u) = mu f_n (u - s / 2)      beyond          (slipping)
 
-After a step the anchor of a slipping vertex follows, so that |u| = s again: static friction is remembered. Because
-the spring is as stiff as the contact is firm, a touch begins and ends without a jump.
+mu is the static coefficient while the vertex sticks and the smaller dynamic one while it slips. After a step the anchor
+of a slipping vertex follows, so that the spring of static friction holds what slipping held: |u| = s mu_dynamic /
+mu_static. Because the spring is as stiff as the contact is firm, a touch begins and ends without a jump.
 """
 
 import warp as wp

@@ -13,27 +13,21 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def pair_products(
-    direction: wp.array2d[wp.vec3],
-    faces: wp.array2d[wp.int32],
+    direction: wp.array[wp.vec3],
     contact: Contact,
     pair_stiffness: wp.array[wp.float32],
     # outputs
     force: wp.array[wp.vec3],
 ):
-    """Stiffness of every pair times the direction [N]."""
-    world, vertex = wp.tid()
-    owner = world * direction.shape[1] + vertex
-    for pair in range(contact.pair_start[owner], contact.pair_start[owner] + contact.pair_count[owner]):
-        face = contact.pair_triangle[pair]
-        w = contact.pair_weights[pair]
-        n = contact.pair_normal[pair]
-        relative = (
-            direction[world, vertex]
-            - w[0] * direction[world, faces[face, 0]]
-            - w[1] * direction[world, faces[face, 1]]
-            - w[2] * direction[world, faces[face, 2]]
-        )
-        force[pair] = n * (pair_stiffness[pair] * wp.dot(n, relative))
+    """Stiffness of every pair times the direction [N]; ``direction`` of all worlds in one row."""
+    pair = wp.tid()
+    if pair >= contact.pair_total[0]:
+        return
+    v = contact.pair_vertices[pair]
+    w = contact.pair_weights[pair]
+    n = contact.pair_normal[pair]
+    relative = w[0] * direction[v[0]] + w[1] * direction[v[1]] + w[2] * direction[v[2]] + w[3] * direction[v[3]]
+    force[pair] = n * (pair_stiffness[pair] * wp.dot(n, relative))
 
 
 @wp.kernel

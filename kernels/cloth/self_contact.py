@@ -1,10 +1,13 @@
-"""Contact of the garment with itself: vertex against triangle (W28).
+"""Contact of the garment with itself: vertex against triangle (W28) and edge against edge.
 
-A pair is a frozen plane between a vertex and a point of a triangle, on the side where the vertex stands. Its
-thickness is a length of its own, not a share of an edge. A vertex has a pair with every triangle within reach, so that
-nothing jumps when the nearest one changes; neighbours in the rest shape are left out. Each pair pushes four vertices;
-the three of the triangle collect their share through a list of incident pairs, in a fixed order, so that sums come out
-the same to the bit.
+A pair is a frozen plane between two points of the garment, on the side where the first one stands. It pushes four
+vertices, each by its signed weight: 1, -w0, -w1, -w2 for a vertex and a triangle, 1 - s, s, t - 1, -t for two edges.
+Whatever works with pairs knows only these four. The thickness is a length of its own, not a share of an edge.
+
+A vertex has a pair with every triangle within reach, so that nothing jumps when the nearest one changes; neighbours in
+the rest shape are left out. Two edges have a pair where their closest points lie between their ends; its strength
+fades towards the ends and where the edges become parallel, where vertices and triangles do the same work. Vertices
+collect their share through lists of incident pairs, in a fixed order, so that sums come out the same to the bit.
 """
 
 import warp as wp
@@ -18,6 +21,8 @@ wp.set_module_options({"enable_backward": False})
 REST_THICKNESSES = 1.6
 # Pairs are listed out to here, so that a step is held back by what it runs into.
 REACH_THICKNESSES = 1.2
+# Edges count in full from 30 degrees between them.
+CROSSED_SINE2 = wp.constant(wp.float32(0.25))
 
 
 @wp.kernel
@@ -28,7 +33,7 @@ def to_single(positions: wp.array2d[wp.vec3d], single: wp.array2d[wp.vec3]):
 
 
 @wp.func
-def pair_weights(
+def triangle_pair(
     points: wp.array2d[wp.vec3],
     rest_points: wp.array2d[wp.vec3],
     faces: wp.array2d[wp.int32],
@@ -67,7 +72,7 @@ def pair_weights(
 
 
 @wp.kernel
-def count_pairs(
+def count_triangle_pairs(
     points: wp.array2d[wp.vec3],
     rest_points: wp.array2d[wp.vec3],
     faces: wp.array2d[wp.int32],
@@ -86,14 +91,14 @@ def count_pairs(
     candidate = wp.int32(0)
     found = wp.int32(0)
     while wp.mesh_query_aabb_next(query, candidate):
-        near, _w = pair_weights(points, rest_points, faces, world, vertex, candidate, outward, reach, rest_reach)
+        near, _w = triangle_pair(points, rest_points, faces, world, vertex, candidate, outward, reach, rest_reach)
         if near:
             found += 1
     pair_count[world * points.shape[1] + vertex] = found
 
 
 @wp.kernel
-def fill_pairs(
+def fill_triangle_pairs(
     points: wp.array2d[wp.vec3],
     rest_points: wp.array2d[wp.vec3],
     faces: wp.array2d[wp.int32],
@@ -101,14 +106,21 @@ def fill_pairs(
     outward: wp.array2d[wp.vec3],
     reach: wp.float32,
     rest_reach: wp.float32,
+    area: wp.array[wp.float64],
+    pressure: wp.float64,
     pair_start: wp.array[wp.int32],
     pair_count: wp.array[wp.int32],
     # outputs
-    triangle: wp.array[wp.int32],
-    weights: wp.array[wp.vec3],
+    partner: wp.array[wp.int32],
+    vertices: wp.array[wp.vec4i],
+    weights: wp.array[wp.vec4],
     normal: wp.array[wp.vec3],
+    strength: wp.array[wp.float32],
 ):
-    """Write the pairs that :func:`count_pairs` counted, each vertex's in ascending order of their triangles."""
+    """Write the pairs that :func:`count_triangle_pairs` counted, each vertex's in ascending order of the triangles.
+
+    ``partner`` is the triangle of each pair, ``strength`` its force at no distance [N].
+    """
     world, vertex = wp.tid()
     owner = world * points.shape[1] + vertex
     if pair_count[owner] == 0:
@@ -120,58 +132,238 @@ def fill_pairs(
     candidate = wp.int32(0)
     end = start
     while wp.mesh_query_aabb_next(query, candidate):
-        near, w = pair_weights(points, rest_points, faces, world, vertex, candidate, outward, reach, rest_reach)
+        near, _w = triangle_pair(points, rest_points, faces, world, vertex, candidate, outward, reach, rest_reach)
         if near:
-            place = end
-            while place > start and triangle[place - 1] > candidate:
-                triangle[place] = triangle[place - 1]
-                weights[place] = weights[place - 1]
-                place -= 1
-            triangle[place] = candidate
-            weights[place] = w
+            insert_partner(partner, start, end, candidate)
             end += 1
+    first = world * points.shape[1]
     for pair in range(start, end):
-        normal[pair] = wp.normalize(p - triangle_point(points, faces, world, triangle[pair], weights[pair]))
+        face = partner[pair]
+        _near, w = triangle_pair(points, rest_points, faces, world, vertex, face, outward, reach, rest_reach)
+        vertices[pair] = wp.vec4i(owner, first + faces[face, 0], first + faces[face, 1], first + faces[face, 2])
+        weights[pair] = wp.vec4(1.0, -w[0], -w[1], -w[2])
+        normal[pair] = wp.normalize(p - triangle_point(points, faces, world, face, w))
+        strength[pair] = wp.float32(pressure * area[vertex])
+
+
+@wp.func
+def insert_partner(partner: wp.array[wp.int32], start: wp.int32, end: wp.int32, candidate: wp.int32):
+    """Add a partner to the ascending list from start to end."""
+    place = end
+    while place > start and partner[place - 1] > candidate:
+        partner[place] = partner[place - 1]
+        place -= 1
+    partner[place] = candidate
+
+
+@wp.func
+def closest_points_of_edges(p: wp.vec3, q: wp.vec3, a: wp.vec3, b: wp.vec3) -> wp.vec2:
+    """Parameters (s, t) in [0, 1] of the closest points of the segments pq and ab (Ericson 2005, section 5.1.9)."""
+    d1 = q - p
+    d2 = b - a
+    r = p - a
+    along1 = wp.dot(d1, d1)
+    along2 = wp.dot(d2, d2)
+    f = wp.dot(d2, r)
+    c = wp.dot(d1, r)
+    d12 = wp.dot(d1, d2)
+    crossed = along1 * along2 - d12 * d12
+    s = wp.float32(0.0)
+    # Edges this parallel have no one place where they are closest.
+    if crossed > 1.0e-6 * along1 * along2:
+        s = wp.clamp((d12 * f - c * along2) / crossed, 0.0, 1.0)
+    t = (d12 * s + f) / along2
+    if t < 0.0:
+        t = wp.float32(0.0)
+        s = wp.clamp(-c / along1, 0.0, 1.0)
+    elif t > 1.0:
+        t = wp.float32(1.0)
+        s = wp.clamp((d12 - c) / along1, 0.0, 1.0)
+    return wp.vec2(s, t)
+
+
+@wp.func
+def edge_point(
+    points: wp.array2d[wp.vec3], edges: wp.array2d[wp.int32], world: wp.int32, edge: wp.int32, s: wp.float32
+) -> wp.vec3:
+    """Point at parameter s of an edge."""
+    return (1.0 - s) * points[world, edges[edge, 0]] + s * points[world, edges[edge, 1]]
+
+
+@wp.func
+def edge_pair(
+    points: wp.array2d[wp.vec3],
+    rest_points: wp.array2d[wp.vec3],
+    edges: wp.array2d[wp.int32],
+    world: wp.int32,
+    edge: wp.int32,
+    other: wp.int32,
+    outward: wp.array2d[wp.vec3],
+    reach: wp.float32,
+    rest_reach: wp.float32,
+):
+    """Parameters of the closest points of two edges and the pair's share of its full strength; 0 if it is none.
+
+    As with triangles, edges on limbs that face each other are let through where each lies behind the other.
+    """
+    i = edges[edge, 0]
+    j = edges[edge, 1]
+    k = edges[other, 0]
+    m = edges[other, 1]
+    where = wp.vec2()
+    if i == k or i == m or j == k or j == m:
+        return where, wp.float32(0.0)
+    where = closest_points_of_edges(points[world, i], points[world, j], points[world, k], points[world, m])
+    s = where[0]
+    t = where[1]
+    if s <= 0.0 or s >= 1.0 or t <= 0.0 or t >= 1.0:
+        return where, wp.float32(0.0)
+    away = edge_point(points, edges, world, edge, s) - edge_point(points, edges, world, other, t)
+    distance = wp.length(away)
+    if distance >= reach or distance < 1.0e-7:
+        return where, wp.float32(0.0)
+    own_side = edge_point(outward, edges, world, edge, s)
+    other_side = edge_point(outward, edges, world, other, t)
+    if wp.dot(own_side, other_side) < 0.0 and wp.dot(away, other_side - own_side) < 0.0:
+        return where, wp.float32(0.0)
+    rest = closest_points_of_edges(rest_points[0, i], rest_points[0, j], rest_points[0, k], rest_points[0, m])
+    apart = edge_point(rest_points, edges, 0, edge, rest[0]) - edge_point(rest_points, edges, 0, other, rest[1])
+    if wp.length(apart) <= rest_reach:
+        return where, wp.float32(0.0)
+    d1 = wp.normalize(points[world, j] - points[world, i])
+    d2 = wp.normalize(points[world, m] - points[world, k])
+    crossed = wp.length_sq(wp.cross(d1, d2)) / CROSSED_SINE2
+    return where, 16.0 * s * (1.0 - s) * t * (1.0 - t) * wp.min(crossed, 1.0)
+
+
+@wp.kernel
+def edge_boxes(
+    points: wp.array2d[wp.vec3],
+    edges: wp.array2d[wp.int32],
+    # outputs
+    lower: wp.array2d[wp.vec3],
+    upper: wp.array2d[wp.vec3],
+):
+    """Bounds of every edge [m], shape [world_count, edge_count]."""
+    world, edge = wp.tid()
+    p = points[world, edges[edge, 0]]
+    q = points[world, edges[edge, 1]]
+    lower[world, edge] = wp.min(p, q)
+    upper[world, edge] = wp.max(p, q)
+
+
+@wp.kernel
+def count_edge_pairs(
+    points: wp.array2d[wp.vec3],
+    rest_points: wp.array2d[wp.vec3],
+    edges: wp.array2d[wp.int32],
+    trees: wp.array[wp.uint64],
+    outward: wp.array2d[wp.vec3],
+    reach: wp.float32,
+    rest_reach: wp.float32,
+    # outputs
+    pair_count: wp.array[wp.int32],
+):
+    """How many later edges are within ``reach`` [m] of each edge; entry world * edge_count + edge."""
+    world, edge = wp.tid()
+    p = points[world, edges[edge, 0]]
+    q = points[world, edges[edge, 1]]
+    box = wp.vec3(reach, reach, reach)
+    query = wp.bvh_query_aabb(trees[world], wp.min(p, q) - box, wp.max(p, q) + box)
+    candidate = wp.int32(0)
+    found = wp.int32(0)
+    while wp.bvh_query_next(query, candidate):
+        if candidate > edge:
+            _where, share = edge_pair(points, rest_points, edges, world, edge, candidate, outward, reach, rest_reach)
+            if share > 0.0:
+                found += 1
+    pair_count[world * edges.shape[0] + edge] = found
+
+
+@wp.kernel
+def fill_edge_pairs(
+    points: wp.array2d[wp.vec3],
+    rest_points: wp.array2d[wp.vec3],
+    edges: wp.array2d[wp.int32],
+    trees: wp.array[wp.uint64],
+    outward: wp.array2d[wp.vec3],
+    reach: wp.float32,
+    rest_reach: wp.float32,
+    area: wp.array[wp.float64],
+    pressure: wp.float64,
+    pair_start: wp.array[wp.int32],
+    pair_count: wp.array[wp.int32],
+    # outputs
+    partner: wp.array[wp.int32],
+    vertices: wp.array[wp.vec4i],
+    weights: wp.array[wp.vec4],
+    normal: wp.array[wp.vec3],
+    strength: wp.array[wp.float32],
+):
+    """Write the pairs that :func:`count_edge_pairs` counted, each edge's in ascending order of the others."""
+    world, edge = wp.tid()
+    owner = world * edges.shape[0] + edge
+    if pair_count[owner] == 0:
+        return
+    start = pair_start[owner]
+    p = points[world, edges[edge, 0]]
+    q = points[world, edges[edge, 1]]
+    box = wp.vec3(reach, reach, reach)
+    query = wp.bvh_query_aabb(trees[world], wp.min(p, q) - box, wp.max(p, q) + box)
+    candidate = wp.int32(0)
+    end = start
+    while wp.bvh_query_next(query, candidate):
+        if candidate > edge:
+            _where, share = edge_pair(points, rest_points, edges, world, edge, candidate, outward, reach, rest_reach)
+            if share > 0.0:
+                insert_partner(partner, start, end, candidate)
+                end += 1
+    first = world * points.shape[1]
+    for pair in range(start, end):
+        other = partner[pair]
+        where, share = edge_pair(points, rest_points, edges, world, edge, other, outward, reach, rest_reach)
+        s = where[0]
+        t = where[1]
+        vertices[pair] = wp.vec4i(
+            first + edges[edge, 0], first + edges[edge, 1], first + edges[other, 0], first + edges[other, 1]
+        )
+        weights[pair] = wp.vec4(1.0 - s, s, t - 1.0, -t)
+        normal[pair] = wp.normalize(
+            edge_point(points, edges, world, edge, s) - edge_point(points, edges, world, other, t)
+        )
+        strength[pair] = share * wp.float32(pressure * wp.float64(0.5) * (area[edge] + area[other]))
 
 
 @wp.kernel
 def count_incident(
-    faces: wp.array2d[wp.int32],
-    vertex_count: wp.int32,
-    pair_start: wp.array[wp.int32],
-    pair_count: wp.array[wp.int32],
-    triangle: wp.array[wp.int32],
+    total: wp.array[wp.int32],
+    vertices: wp.array[wp.vec4i],
     # outputs
     incident_count: wp.array[wp.int32],
 ):
-    """How many pairs press on each vertex as a corner of their triangle; entry world * vertex_count + vertex."""
-    owner = wp.tid()
-    first = owner - owner % vertex_count
-    for pair in range(pair_start[owner], pair_start[owner] + pair_count[owner]):
-        for corner in range(3):
-            wp.atomic_add(incident_count, first + faces[triangle[pair], corner], 1)
+    """How many pairs push each vertex; entry world * vertex_count + vertex."""
+    pair = wp.tid()
+    if pair < total[0]:
+        for corner in range(4):
+            wp.atomic_add(incident_count, vertices[pair][corner], 1)
 
 
 @wp.kernel
 def fill_incident(
-    faces: wp.array2d[wp.int32],
-    vertex_count: wp.int32,
-    pair_start: wp.array[wp.int32],
-    pair_count: wp.array[wp.int32],
-    triangle: wp.array[wp.int32],
+    total: wp.array[wp.int32],
+    vertices: wp.array[wp.vec4i],
     incident_start: wp.array[wp.int32],
     # outputs
     incident_count: wp.array[wp.int32],
     incident: wp.array[wp.int32],
 ):
-    """Write the lists that :func:`count_incident` counted: entries pair * 3 + corner, in any order."""
-    owner = wp.tid()
-    first = owner - owner % vertex_count
-    for pair in range(pair_start[owner], pair_start[owner] + pair_count[owner]):
-        for corner in range(3):
-            pressed = first + faces[triangle[pair], corner]
-            place = incident_start[pressed] + wp.atomic_add(incident_count, pressed, 1)
-            incident[place] = pair * 3 + corner
+    """Write the lists that :func:`count_incident` counted: entries pair * 4 + corner, in any order."""
+    pair = wp.tid()
+    if pair < total[0]:
+        for corner in range(4):
+            pushed = vertices[pair][corner]
+            place = incident_start[pushed] + wp.atomic_add(incident_count, pushed, 1)
+            incident[place] = pair * 4 + corner
 
 
 @wp.kernel
@@ -189,18 +381,11 @@ def sort_incident(incident_start: wp.array[wp.int32], incident_count: wp.array[w
 
 
 @wp.func
-def pair_separation(
-    positions: wp.array2d[wp.vec3d],
-    faces: wp.array2d[wp.int32],
-    world: wp.int32,
-    vertex: wp.int32,
-    face: wp.int32,
-    w: wp.vec3,
-) -> wp.vec3d:
-    """Vector from the pair's point on the triangle to its vertex [m]."""
+def pair_separation(positions: wp.array[wp.vec3d], vertices: wp.vec4i, weights: wp.vec4) -> wp.vec3d:
+    """Vector from a pair's second point to its first one [m]."""
     return (
-        positions[world, vertex]
-        - wp.float64(w[0]) * positions[world, faces[face, 0]]
-        - wp.float64(w[1]) * positions[world, faces[face, 1]]
-        - wp.float64(w[2]) * positions[world, faces[face, 2]]
+        wp.float64(weights[0]) * positions[vertices[0]]
+        + wp.float64(weights[1]) * positions[vertices[1]]
+        + wp.float64(weights[2]) * positions[vertices[2]]
+        + wp.float64(weights[3]) * positions[vertices[3]]
     )
