@@ -10,43 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from .fabrics import Fabric
 from .plate_bending import FloatArray, IntArray, bending_matrix
-
-
-@dataclass(frozen=True)
-class Fabric:
-    """What the garment is made of.
-
-    Attributes:
-        stretch: Stiffness against stretching [N/m].
-        poisson: How much a stretched strip narrows and a bent one curls across, from 0 up to 0.5.
-        shear: Stiffness against shearing as a share of the isotropic one; woven cloth shears more easily.
-        bending: Bending stiffness, moment per width and curvature [N m].
-        density: Mass per area [kg/m^2].
-        friction: Coulomb coefficient against the body, static and dynamic (S49).
-    """
-
-    stretch: float = 120.0
-    poisson: float = 0.3
-    shear: float = 1.0
-    bending: float = 6.0e-5
-    density: float = 0.15
-    friction: float = 0.3
-
-    def __post_init__(self) -> None:
-        for name in ("stretch", "bending", "density"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"The fabric's {name} must be greater than 0, not {getattr(self, name)}.")
-        if not 0.0 <= self.poisson < 0.5:
-            raise ValueError(f"The fabric's Poisson ratio must lie in [0, 0.5), not be {self.poisson}.")
-        if self.friction < 0.0 or self.shear <= 0.0:
-            raise ValueError("The fabric's friction must not be negative and its shear must be greater than 0.")
-
-    @property
-    def stiffness(self) -> tuple[float, float, float, float]:
-        """(c11, c12, c22, c33) of :mod:`..kernels.cloth.membrane` [N/m]."""
-        along = self.stretch / (1.0 - self.poisson**2)
-        return along, self.poisson * along, along, self.shear * self.stretch / (2.0 * (1.0 + self.poisson))
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +30,9 @@ class ClothModel:
         diagonal_entry: Place of each vertex in its own row.
         contribution_start, contributions: For each block the triangle corners pairs that add to it,
             triangle * 9 + row corner * 3 + column corner.
-        bending_start, bending_columns, bending_coefficients: The matrix b Q of the quadratic bending energy [N/m].
-        block_bending: The part of b Q that falls on the one-ring's blocks [N/m].
-        far_start, far_columns, far_coefficients: The part of b Q outside the one-ring [N/m].
+        bending_start, bending_columns, bending_coefficients: The matrix Q of the quadratic bending energy [N/m].
+        block_bending: The part of Q that falls on the one-ring's blocks [N/m].
+        far_start, far_columns, far_coefficients: The part of Q outside the one-ring [N/m].
     """
 
     fabric: Fabric
@@ -107,6 +72,7 @@ def build_cloth_model(
     fabric: Fabric,
     *,
     length_directions: FloatArray | None = None,
+    warp_directions: FloatArray | None = None,
     ease: tuple[float, float] = (0.0, 0.0),
 ) -> ClothModel:
     """Build the model of a garment cut like ``positions`` and then let out by ``ease``.
@@ -117,6 +83,8 @@ def build_cloth_model(
         fabric: The material.
         length_directions: Direction of each triangle's length (along the limb), shape [triangle_count, 3]; needed
             when there is ease.
+        warp_directions: Direction of the fabric's warp on each triangle, shape [triangle_count, 3]; left out, and
+            where it is zero, that of the length.
         ease: Extra cloth around the girth and along the length, as shares of the surface's own size: design slack
             that turns a shell into a garment that can fold.
 
@@ -132,25 +100,16 @@ def build_cloth_model(
     if (doubled < 1e-12).any():
         raise ValueError(f"{int((doubled < 1e-12).sum())} triangles of the garment have no area; merge by distance.")
     normals /= doubled[:, None]
-    length = first if length_directions is None else length_directions
-    length = length - (length * normals).sum(1, keepdims=True) * normals
-    size = np.linalg.norm(length, axis=1)
-    # A length that stands on the triangle tells nothing; any direction in the plane serves there.
-    length = np.where((size > 1e-6)[:, None], length, first)
-    length /= np.linalg.norm(length, axis=1)[:, None]
-    girth = np.cross(normals, length)
-    girth_scale, length_scale = 1.0 + ease[0], 1.0 + ease[1]
-    edges = np.empty((len(faces), 2, 2), np.float64)
-    for column, edge in enumerate((first, second)):
-        edges[:, 0, column] = (edge * length).sum(1) * length_scale
-        edges[:, 1, column] = (edge * girth).sum(1) * girth_scale
+    length = _in_plane(first if length_directions is None else length_directions, normals, first)
+    warp = length if warp_directions is None else _in_plane(warp_directions, normals, length)
+    edges = _material_edges(first, second, normals, length, warp, ease)
     rest_area = 0.5 * np.linalg.det(edges).astype(np.float64)
     vertex_count = len(positions)
     area = np.bincount(faces.ravel(), np.repeat(rest_area / 3.0, 3), vertex_count).astype(np.float64)
     corner_start, corner_list = group(faces.ravel(), vertex_count)
     row_start, columns, contribution_start, contributions = _one_ring(faces, vertex_count)
     rows = np.repeat(np.arange(vertex_count), np.diff(row_start))
-    b_rows, b_columns, b_values = bending_matrix(positions, faces, fabric.bending, fabric.poisson)
+    b_rows, b_columns, b_values = bending_matrix(positions, faces, warp, fabric.plate)
     bending_start = _row_starts(b_rows, vertex_count)
     # Both lists are sorted by (row, column), so their keys can be searched.
     ring_keys = rows.astype(np.int64) * vertex_count + columns
@@ -182,6 +141,35 @@ def build_cloth_model(
         far_columns=b_columns[~near].astype(np.int32),
         far_coefficients=b_values[~near],
     )
+
+
+def _in_plane(directions: FloatArray, normals: FloatArray, otherwise: FloatArray) -> FloatArray:
+    """Directions laid into their triangles' planes, unit vectors, shape [triangle_count, 3].
+
+    One that stands on its triangle tells nothing; there it is taken from ``otherwise``, which lies in the plane.
+    """
+    flat = directions - (directions * normals).sum(1, keepdims=True) * normals
+    flat = np.where((np.linalg.norm(flat, axis=1) > 1e-6)[:, None], flat, otherwise)
+    return flat / np.linalg.norm(flat, axis=1)[:, None]
+
+
+def _material_edges(
+    first: FloatArray,
+    second: FloatArray,
+    normals: FloatArray,
+    length: FloatArray,
+    warp: FloatArray,
+    ease: tuple[float, float],
+) -> FloatArray:
+    """Rest edge matrices in warp and weft [m], shape [triangle_count, 2, 2]: eased along the length, then turned."""
+    girth = np.cross(normals, length)
+    cosine, sine = (warp * length).sum(1), (warp * girth).sum(1)
+    edges = np.empty((len(first), 2, 2), np.float64)
+    for column, edge in enumerate((first, second)):
+        along, around = (edge * length).sum(1) * (1.0 + ease[1]), (edge * girth).sum(1) * (1.0 + ease[0])
+        edges[:, 0, column] = cosine * along + sine * around
+        edges[:, 1, column] = cosine * around - sine * along
+    return edges
 
 
 def group(owners: NDArray[np.integer], owner_count: int) -> tuple[IntArray, IntArray]:

@@ -66,14 +66,16 @@ def test_a_step_of_no_length_is_refused(device):
 
 @pytest.mark.parametrize("direction", [0.0, 0.6, np.pi / 2.0])
 @pytest.mark.parametrize("irregular", [0.0, 0.25], ids=["regular", "irregular"])
-def test_bending_energy_of_a_cylinder(device, direction, irregular):
-    """1/2 B kappa^2 for each area, whichever way the mesh lies."""
+@pytest.mark.parametrize("bending", [(1.0e-2, 1.0e-2), (2.0e-2, 0.5e-2)], ids=["alike", "warp and weft"])
+def test_bending_energy_of_a_cylinder(device, direction, irregular, bending):
+    """1/2 B kappa^2 for each area, whichever way the mesh lies; B between warp and weft as of an orthotropic plate."""
     rest, faces = sheet(30, 30, 0.3, 0.3)
     inner = ((rest[:, :2] > 1e-9) & (rest[:, :2] < 0.3 - 1e-9)).all(1)
     rest[inner, :2] += irregular * 0.01 * np.random.default_rng(2).uniform(-1.0, 1.0, size=(inner.sum(), 2))
-    bending, radius = 1.0e-2, 0.5
-    fabric = Fabric(bending=bending, poisson=0.3)
-    simulation = free_cloth(build_cloth_model(rest, faces, fabric), device=device)
+    radius = 0.5
+    warp = np.tile([1.0, 0.0, 0.0], (len(faces), 1))
+    model = build_cloth_model(rest, faces, Fabric(bending=bending, poisson=0.3), warp_directions=warp)
+    simulation = free_cloth(model, device=device)
     simulation.set_gravity(np.zeros(3))
     along = np.array([np.cos(direction), np.sin(direction), 0.0])
     across = np.cross([0.0, 0.0, 1.0], along)
@@ -82,8 +84,9 @@ def test_bending_energy_of_a_cylinder(device, direction, irregular):
     simulation.start(rolled)
     stretching = simulation._triangle_energy
     energy = simulation.energy()[0] - stretching.numpy().sum()
+    expected = (np.sqrt(bending[0]) * np.cos(direction) ** 2 + np.sqrt(bending[1]) * np.sin(direction) ** 2) ** 2
     # The free border, where a triangle has fewer neighbours, is one cell in fifteen.
-    assert energy == pytest.approx(0.5 * bending / radius**2 * 0.3**2, rel=0.04)
+    assert energy == pytest.approx(0.5 * expected / radius**2 * 0.3**2, rel=0.04)
 
 
 def heavy_elastica(length, stiffness, density):
@@ -142,6 +145,46 @@ def test_uniaxial_stretch_is_the_analytic_one(device):
     # Bending takes no part in a plane; what is left are roundings of its large coefficients.
     between = (rest[:, 0] > 1e-9) & ~end
     assert np.abs(force[between]).max() < 1e-9
+
+
+@pytest.mark.parametrize("across", [False, True], ids=["warp", "weft"])
+def test_warp_and_weft_have_their_own_stiffness(device, across):
+    """N = lambda Y (lambda^2 - 1) / 2 with each direction's own Y, and each draws in the other by its own ratio."""
+    rest, faces = sheet(8, 6, 0.2, 0.1)
+    fabric = Fabric(stretch=(400.0, 100.0), poisson=0.3, shear=10.0)
+    # The warp lies along y on a sheet that is pulled along x, or along x.
+    warp = np.tile([0.0, 1.0, 0.0] if across else [1.0, 0.0, 0.0], (len(faces), 1))
+    simulation = free_cloth(build_cloth_model(rest, faces, fabric, warp_directions=warp), device=device)
+    simulation.set_gravity(np.zeros(3))
+    young, narrowing = (100.0, 0.3 * 0.5) if across else (400.0, 0.3 * 2.0)
+    stretch = 1.03
+    force = simulation.residual(rest * [stretch, np.sqrt(1.0 - narrowing * (stretch**2 - 1.0)), 1.0])[0]
+    end = rest[:, 0] > 0.2 - 1e-9
+    assert -force[end].sum(0) == pytest.approx([0.5 * stretch * young * (stretch**2 - 1.0) * 0.1, 0.0, 0.0], abs=1e-9)
+    assert np.abs(force[(rest[:, 0] > 1e-9) & ~end]).max() < 1e-9
+
+
+def test_pure_shear_has_the_stiffness_of_shear_alone(device):
+    rest, faces = sheet(5, 5, 0.1, 0.1)
+    warp = np.tile([1.0, 0.0, 0.0], (len(faces), 1))
+    model = build_cloth_model(rest, faces, Fabric(stretch=(400.0, 100.0), shear=25.0), warp_directions=warp)
+    simulation = free_cloth(model, device=device)
+    simulation.set_gravity(np.zeros(3))
+    angle = 0.1
+    # Both directions keep their length and turn towards each other: 2 Exy = sin(angle).
+    sheared = rest[:, :1] * [1.0, 0.0, 0.0] + rest[:, 1:2] * [np.sin(angle), np.cos(angle), 0.0]
+    simulation.start(sheared)
+    assert simulation.energy()[0] == pytest.approx(0.5 * 25.0 * np.sin(angle) ** 2 * 0.1**2, rel=1e-9)
+
+
+def test_ease_goes_along_the_limb_wherever_the_warp_lies(device):
+    rest, faces = sheet(4, 4, 0.1, 0.1)
+    along, bias = (np.tile(direction, (len(faces), 1)) for direction in ([1.0, 0.0, 0.0], [0.8, 0.6, 0.0]))
+    fabric = Fabric(stretch=(400.0, 100.0), shear=20.0)
+    model = build_cloth_model(rest, faces, fabric, length_directions=along, warp_directions=bias, ease=(0.05, 0.08))
+    simulation = free_cloth(model, device=device)
+    simulation.set_gravity(np.zeros(3))
+    assert np.abs(simulation.residual(rest * [1.08, 1.05, 1.0])).max() < 1e-9
 
 
 def test_ease_makes_the_rest_shape_longer_than_the_surface(device):
@@ -454,7 +497,15 @@ def test_self_contact_thickness_must_not_be_negative():
 
 @pytest.mark.parametrize(
     "values",
-    [{"stretch": 0.0}, {"bending": -1.0}, {"density": 0.0}, {"poisson": 0.5}, {"friction": -0.1}, {"shear": 0}],
+    [
+        {"stretch": 0.0},
+        {"stretch": (90.0, 0.0)},
+        {"shear": 0.0},
+        {"bending": -1.0},
+        {"density": 0.0},
+        {"poisson": 0.5},
+        {"friction": -0.1},
+    ],
 )
 def test_a_fabric_that_cannot_be_is_refused(values):
     with pytest.raises(ValueError, match=next(iter(values)).replace("poisson", "Poisson")):
