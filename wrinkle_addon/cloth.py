@@ -17,9 +17,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ..kernels.cloth import assembly, membrane
+from ..kernels.cloth import assembly
 from .cloth_contact import ContactSearch, ContactSettings, Limbs
 from .cloth_model import ClothModel, FloatArray, IntArray
+from .elasticity import Elasticity, membrane_of
 from .linear_solver import BlockSystem
 
 if TYPE_CHECKING:
@@ -121,6 +122,7 @@ class ClothSimulation:
         if not len(body_faces):
             raise ValueError("The body has no faces to collide with.")
         self._garment = self._upload_garment(pin_stiffness)
+        self._elasticity = Elasticity(model, self._garment, world_count)
         self._allocate_state()
         self._body_count = np.shape(body_positions)[-2]
         self._contact = ContactSearch(
@@ -132,7 +134,7 @@ class ClothSimulation:
             self._per_world(body_positions, "body_positions", self._body_count),
             limbs,
         )
-        self._system = BlockSystem(model, self._garment, self._contact.frozen, world_count)
+        self._system = BlockSystem(model, self._garment, self._elasticity, self._contact.frozen, world_count)
         self.set_gravity([0.0, 0.0, -STANDARD_GRAVITY])
 
     # State
@@ -301,7 +303,7 @@ class ClothSimulation:
         """
         with self._equilibrium_at(positions):
             self._kept.fill_(1.0)
-            self._system.assemble(self._positions, self._deformation, self._stress, self._inverse_dt2, self._kept)
+            self._system.assemble(self._positions, self._inverse_dt2, self._kept)
             self._kept.zero_()
             return self._system.to_scipy(world)
 
@@ -331,7 +333,7 @@ class ClothSimulation:
         settings = self.solver_settings
         self._evaluate_gradient()
         before = self._evaluate_energy()
-        self._system.assemble(self._positions, self._deformation, self._stress, self._inverse_dt2, self._kept)
+        self._system.assemble(self._positions, self._inverse_dt2, self._kept)
         iterations = self._system.solve(
             self._gradient, self._moving, settings.linear_tolerance, settings.linear_iterations
         )
@@ -354,7 +356,7 @@ class ClothSimulation:
         return iterations, np.where(longest > 0.0, length, 0.0)
 
     def _evaluate_gradient(self) -> wp.array:
-        self._deform()
+        self._elasticity.deform(self._positions)
         contact = self._contact
         self._launch(
             assembly.pair_forces, self.shape, [self._positions, self._garment, contact.frozen], [contact.pair_force]
@@ -362,16 +364,16 @@ class ClothSimulation:
         self._launch(
             assembly.gradient,
             self.shape,
-            [*self._potential(), self._deformation, self._stress, contact.pair_force],
+            [*self._potential(), self._elasticity.deformation, self._elasticity.stress, contact.pair_force],
             [self._gradient],
         )
         return self._gradient
 
     def _evaluate_energy(self) -> FloatArray:
         """Incremental potential of each world [J], shape [world_count]."""
-        self._deform()
+        self._elasticity.deform(self._positions)
         self._launch(assembly.vertex_energies, self.shape, self._potential(), [self._vertex_energy])
-        return self._vertex_energy.numpy().sum(1) + self._triangle_energy.numpy().sum(1)
+        return self._vertex_energy.numpy().sum(1) + self._elasticity.energy()
 
     def _potential(self) -> list:
         """What the incremental potential depends on, as its kernels take it."""
@@ -384,15 +386,6 @@ class ClothSimulation:
             self._inverse_dt2,
             self._pin_target,
         ]
-
-    def _deform(self) -> None:
-        g = self._garment
-        self._launch(
-            membrane.deform_triangles,
-            (self.world_count, self.model.triangle_count),
-            [self._positions, g.faces, g.rest_inverse, g.rest_area, g.stiffness],
-            [self._deformation, self._stress, self._triangle_energy],
-        )
 
     @contextmanager
     def _equilibrium_at(self, positions: ArrayLike | None) -> Iterator[None]:
@@ -446,7 +439,7 @@ class ClothSimulation:
         garment = assembly.Garment()
         garment.faces = wp.array(model.faces, dtype=wp.int32, device=self.device)
         garment.rest_inverse = wp.array(model.rest_inverse, dtype=wp.mat22d, device=self.device)
-        garment.stiffness = wp.vec4d(*model.fabric.stiffness)
+        garment.membrane = membrane_of(model.fabric)
         for name in ("rest_area", "mass", "area", "bending_coefficients"):
             setattr(garment, name, wp.array(getattr(model, name), dtype=wp.float64, device=self.device))
         for name in ("corner_start", "corners", "bending_start", "bending_columns"):
@@ -461,16 +454,12 @@ class ClothSimulation:
         def array(shape: tuple[int, ...] | int, dtype: type) -> wp.array:
             return wp.zeros(shape, dtype=dtype, device=self.device)
 
-        triangles = (self.world_count, self.model.triangle_count)
         self._positions = array(self.shape, wp.vec3d)
         self._velocities = array(self.shape, wp.vec3d)
         self._inertia_target = array(self.shape, wp.vec3d)
         self._pin_target = array(self.shape, wp.vec3d)
         self._gradient = array(self.shape, wp.vec3d)
         self._vertex_energy = array(self.shape, wp.float64)
-        self._deformation = array(triangles, membrane.mat32d)
-        self._stress = array(triangles, wp.vec3d)
-        self._triangle_energy = array(triangles, wp.float64)
         self._inverse_dt2 = array(self.world_count, wp.float64)
         self._gravity = array(self.world_count, wp.vec3d)
         self._kept = array(self.world_count, wp.float64)
