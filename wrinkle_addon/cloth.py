@@ -367,6 +367,8 @@ class ClothSimulation:
             [*self._potential(), self._elasticity.deformation, self._elasticity.stress, contact.pair_force],
             [self._gradient],
         )
+        for elements in self._elasticity.elements:
+            elements.add_gradient(self._gradient)
         return self._gradient
 
     def _evaluate_energy(self) -> FloatArray:

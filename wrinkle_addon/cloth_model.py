@@ -10,6 +10,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from .elastic_elements import (
+    Gathering,
+    HingeRest,
+    SpringRest,
+    element_keys,
+    gather,
+    make_hinges,
+    make_springs,
+)
 from .fabrics import Fabric
 from .plate_bending import FloatArray, IntArray, bending_matrix
 
@@ -26,13 +35,15 @@ class ClothModel:
         mass: Mass of each vertex [kg], shape [vertex_count].
         area: Rest area that each vertex stands for [m^2], shape [vertex_count].
         corner_start, corners: For each vertex the list of its triangle corners, triangle * 3 + corner.
-        row_start, columns: One-ring of each vertex, itself included, in ascending order.
+        row_start, columns: One-ring of each vertex, itself included, in ascending order; for hinges or springs also
+            the corners opposite to it.
         diagonal_entry: Place of each vertex in its own row.
         contribution_start, contributions: For each block the triangle corners pairs that add to it,
             triangle * 9 + row corner * 3 + column corner.
         bending_start, bending_columns, bending_coefficients: The matrix Q of the quadratic bending energy [N/m].
         block_bending: The part of Q that falls on the one-ring's blocks [N/m].
         far_start, far_columns, far_coefficients: The part of Q outside the one-ring [N/m].
+        hinges, springs: Those of a fabric that is made of them, with where they add to vertices and blocks.
     """
 
     fabric: Fabric
@@ -56,6 +67,8 @@ class ClothModel:
     far_start: IntArray
     far_columns: IntArray
     far_coefficients: FloatArray = field(repr=False)
+    hinges: tuple[HingeRest, Gathering] | None = None
+    springs: tuple[SpringRest, Gathering] | None = None
 
     @property
     def vertex_count(self) -> int:
@@ -107,15 +120,21 @@ def build_cloth_model(
     vertex_count = len(positions)
     area = np.bincount(faces.ravel(), np.repeat(rest_area / 3.0, 3), vertex_count).astype(np.float64)
     corner_start, corner_list = group(faces.ravel(), vertex_count)
-    row_start, columns, contribution_start, contributions = _one_ring(faces, vertex_count)
-    rows = np.repeat(np.arange(vertex_count), np.diff(row_start))
-    b_rows, b_columns, b_values = bending_matrix(positions, faces, warp, fabric.plate)
+    hinges = make_hinges(positions, faces, edges, fabric) if fabric.material == "hinges" else None
+    springs = make_springs(faces, edges, fabric) if fabric.material == "springs" else None
+    elements = hinges or springs
+    blocks, contribution_start, contributions = _blocks(faces, elements and elements.vertices, vertex_count)
+    rows, columns = blocks // vertex_count, (blocks % vertex_count).astype(np.int32)
+    row_start = _row_starts(rows, vertex_count)
+    if elements is None:
+        b_rows, b_columns, b_values = bending_matrix(positions, faces, warp, fabric.plate)
+    else:
+        b_rows, b_columns, b_values = np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0)
     bending_start = _row_starts(b_rows, vertex_count)
     # Both lists are sorted by (row, column), so their keys can be searched.
-    ring_keys = rows.astype(np.int64) * vertex_count + columns
     bending_keys = b_rows.astype(np.int64) * vertex_count + b_columns
-    place = np.minimum(np.searchsorted(ring_keys, bending_keys), len(ring_keys) - 1)
-    near = ring_keys[place] == bending_keys
+    place = np.minimum(np.searchsorted(blocks, bending_keys), len(blocks) - 1)
+    near = blocks[place] == bending_keys
     block_bending = np.zeros(len(columns))
     block_bending[place[near]] = b_values[near]
     return ClothModel(
@@ -140,6 +159,8 @@ def build_cloth_model(
         far_start=_row_starts(b_rows[~near], vertex_count),
         far_columns=b_columns[~near].astype(np.int32),
         far_coefficients=b_values[~near],
+        hinges=hinges and (hinges, gather(hinges.vertices, vertex_count, blocks)),
+        springs=springs and (springs, gather(springs.vertices, vertex_count, blocks)),
     )
 
 
@@ -181,11 +202,17 @@ def _row_starts(sorted_rows: NDArray[np.integer], row_count: int) -> IntArray:
     return np.searchsorted(sorted_rows, np.arange(row_count + 1)).astype(np.int32)
 
 
-def _one_ring(faces: IntArray, vertex_count: int) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-    """Block rows of a mesh and, for each block, the corner pairs that contribute to it."""
-    i, j = np.meshgrid(range(3), range(3), indexing="ij")
-    keys = faces[:, i.ravel()].astype(np.int64) * vertex_count + faces[:, j.ravel()]
-    blocks, entry = np.unique(keys.ravel(), return_inverse=True)
-    start, contributions = group(entry.ravel(), len(blocks))
-    rows, columns = blocks // vertex_count, (blocks % vertex_count).astype(np.int32)
-    return _row_starts(rows, vertex_count), columns, start, contributions
+def _blocks(
+    faces: IntArray, elements: IntArray | None, vertex_count: int
+) -> tuple[NDArray[np.int64], IntArray, IntArray]:
+    """Blocks of the Hessian, and for each one the corner pairs of triangles that contribute to it.
+
+    Returns:
+        blocks: Keys row * vertex_count + column, ascending.
+        start, contributions: Lists of triangle * 9 + row corner * 3 + column corner.
+    """
+    keys = element_keys(faces, vertex_count)
+    more = [] if elements is None else [element_keys(elements, vertex_count)]
+    blocks = np.unique(np.concatenate([keys, *more]))
+    start, contributions = group(np.searchsorted(blocks, keys), len(blocks))
+    return blocks, start, contributions

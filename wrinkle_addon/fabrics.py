@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 Pair = float | tuple[float, float]
 """One number for warp and weft alike, or one for each."""
+
+Material = Literal["plate", "hinges", "springs"]
+"""A membrane that bends like a plate (quadratic, the default) or over hinges (nonlinear), or a net of springs."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,10 @@ class Fabric:
         bending: Bending stiffness, moment per width and curvature [N m], for warp and weft alike or one for each.
         density: Mass per area [kg/m^2].
         friction: Coulomb coefficient against the body, static and dynamic (S49).
+        material: The energies: those of Xu et al. ("plate", S48), hinges instead of the plate, or the springs of Wang
+            et al. (W21, W22), which know no limit, no Poisson's ratio but 1/3 and no shear of their own.
+        rest_bend: Share of the modelled surface's own angles at which hinges rest: 0 for cloth cut flat, 1 for cloth
+            formed like the garment.
     """
 
     stretch: Pair = 120.0
@@ -44,6 +52,8 @@ class Fabric:
     bending: Pair = 6.0e-5
     density: float = 0.15
     friction: float = 0.3
+    material: Material = "plate"
+    rest_bend: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("stretch", "shear", "bending", "density"):
@@ -52,6 +62,9 @@ class Fabric:
                 raise ValueError(f"The fabric's {name} must be greater than 0, not {value}.")
         if not 0.0 <= self.poisson < 0.5:
             raise ValueError(f"The fabric's Poisson ratio must lie in [0, 0.5), not be {self.poisson}.")
+        if self.material not in get_args(Material):
+            names = ", ".join(get_args(Material))
+            raise ValueError(f"The fabric's material is one of {names}, not {self.material}.")
         for name in ("limit", "shear_limit", "stiffening", "friction"):
             if min(both(getattr(self, name))) < 0.0:
                 raise ValueError(f"The fabric's {name} must not be negative, not {getattr(self, name)}.")

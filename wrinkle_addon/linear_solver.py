@@ -99,6 +99,8 @@ class BlockSystem:
             outputs=[self.blocks],
             device=self._device,
         )
+        for elements in elasticity.elements:
+            elements.add_blocks(self.blocks)
         wp.launch(
             assembly.assemble_diagonal,
             dim=self.shape,
@@ -121,6 +123,8 @@ class BlockSystem:
             outputs=[self._inverse],
             device=self._device,
         )
+        for elements in elasticity.elements:
+            elements.add_remainder(positions, kept, self.blocks)
 
     def solve(self, gradient: wp.array, moving: wp.array, tolerance: float, max_iterations: int) -> int:
         """Solve H step = -gradient from zero; returns the largest number of iterations that a world took.
