@@ -219,8 +219,9 @@ class ClothSimulation:
         before = self.positions
         target = before + dt * self._velocities.numpy()
         self.move_body(body_positions)
-        self._positions.assign(target if guess is None else self._per_world(guess, "guess"))
-        self._minimise(target, dt)
+        with self._elasticity.damped(self._positions, dt):
+            self._positions.assign(target if guess is None else self._per_world(guess, "guess"))
+            self._minimise(target, dt)
         self._velocities.assign((self._positions.numpy() - before) / dt)
 
     def follow(self, body_positions: ArrayLike, carried: ArrayLike, dt: float = 1.0 / 30.0) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
 
-from ..kernels.cloth import assembly, hinges, membrane, springs
+from ..kernels.cloth import assembly, hinges, membrane, springs, triangles
 from .cloth_model import ClothModel, FloatArray
 from .elastic_elements import Gathering, HingeRest, SpringRest
 from .fabrics import Fabric
@@ -69,6 +71,11 @@ class Elasticity:
         self.deformation, self.stress = array(membrane.mat32d), array(wp.vec3d)
         self.tangent, self.held = array(wp.vec4d), array(wp.vec3d)
         self._triangle_energy = array(wp.float64)
+        self._damping = triangles.Damping()
+        self._damping.viscosity = wp.vec4d(*model.fabric.viscosity)
+        self._damps = model.fabric.damping > 0.0
+        if self._damps:
+            self._damping.before = array(wp.vec3d)
         self.elements: list[ElasticElements] = []
         if model.hinges is not None:
             self.elements.append(HingeBending(*model.hinges, world_count, self._device))
@@ -79,15 +86,29 @@ class Elasticity:
         """Find strain, stress and energy at these positions [m]."""
         g = self._garment
         self._launch(
-            membrane.deform_triangles,
-            [positions, g.faces, g.rest_inverse, g.rest_area, g.membrane],
+            triangles.deform_triangles,
+            [positions, g.faces, g.rest_inverse, g.rest_area, g.membrane, self._damping],
             [self.deformation, self.stress, self._triangle_energy],
         )
         for elements in self.elements:
             elements.deform(positions)
 
+    @contextmanager
+    def damped(self, positions: wp.array, dt: float) -> Iterator[None]:
+        """Damp what goes on here, as a time step of ``dt`` [s] from these positions [m]."""
+        if not self._damps:
+            yield
+            return
+        self.deform(positions)
+        self._launch(triangles.strain_triangles, [self.deformation], [self._damping.before])
+        self._damping.rate = 1.0 / dt
+        try:
+            yield
+        finally:
+            self._damping.rate = 0.0
+
     def energy(self) -> FloatArray:
-        """Energy as it was found last [J], shape [world_count]."""
+        """Energy as it was found last [J], shape [world_count]; within a step what it dissipates is part of it."""
         total = self._triangle_energy.numpy().sum(1)
         for elements in self.elements:
             total = total + elements.energy()
@@ -99,8 +120,8 @@ class Elasticity:
         ``kept`` is the share of its compressive stress that each world takes into account, shape [world_count].
         """
         self._launch(
-            membrane.linearise_triangles,
-            [self.deformation, self.stress, self._garment.membrane, kept],
+            triangles.linearise_triangles,
+            [self.deformation, self.stress, self._garment.membrane, self._damping, kept],
             [self.tangent, self.held],
         )
 

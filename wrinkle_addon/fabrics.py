@@ -37,6 +37,8 @@ class Fabric:
         bending: Bending stiffness, moment per width and curvature [N m], for warp and weft alike or one for each.
         density: Mass per area [kg/m^2].
         friction: Coulomb coefficient against the body, static and dynamic (S49).
+        damping: Viscosity against stretching and shearing, as the time over which it takes as much force as stiffness
+            does [s]; only motion knows it.
         material: The energies: those of Xu et al. ("plate", S48), hinges instead of the plate, or the springs of Wang
             et al. (W21, W22), which know no limit, no Poisson's ratio but 1/3 and no shear of their own.
         rest_bend: Share of the modelled surface's own angles at which hinges rest: 0 for cloth cut flat, 1 for cloth
@@ -52,6 +54,7 @@ class Fabric:
     bending: Pair = 6.0e-5
     density: float = 0.15
     friction: float = 0.3
+    damping: float = 0.0
     material: Material = "plate"
     rest_bend: float = 0.0
 
@@ -65,7 +68,7 @@ class Fabric:
         if self.material not in get_args(Material):
             names = ", ".join(get_args(Material))
             raise ValueError(f"The fabric's material is one of {names}, not {self.material}.")
-        for name in ("limit", "shear_limit", "stiffening", "friction"):
+        for name in ("limit", "shear_limit", "stiffening", "friction", "damping"):
             if min(both(getattr(self, name))) < 0.0:
                 raise ValueError(f"The fabric's {name} must not be negative, not {getattr(self, name)}.")
 
@@ -96,6 +99,12 @@ class Fabric:
         """(g1, g2, g3) of :mod:`..kernels.cloth.membrane` [N/m], warp first."""
         (warp, weft), (c11, _, c22, c33) = both(self.stiffening), self.stiffness
         return warp * c11, weft * c22, math.sqrt(warp * weft) * c33
+
+    @property
+    def viscosity(self) -> tuple[float, float, float, float]:
+        """(v11, v12, v22, v33) of :mod:`..kernels.cloth.damping` [N s/m], warp first."""
+        c11, c12, c22, c33 = self.stiffness
+        return self.damping * c11, self.damping * c12, self.damping * c22, self.damping * c33
 
     @property
     def plate(self) -> tuple[float, float, float, float]:

@@ -216,7 +216,7 @@ def assemble_blocks(
 ):
     """Membrane and bending Hessian on the one-ring [N/m]; contributions are triangle * 9 + row * 3 + column.
 
-    ``tangent`` and ``held`` come from :func:`~.membrane.linearise_triangles`.
+    ``tangent`` and ``held`` come from :func:`~.triangles.linearise_triangles`.
     """
     world, entry = wp.tid()
     total = block_bending[entry] * wp.identity(n=3, dtype=wp.float64)

@@ -7,7 +7,7 @@ from cloth_shapes import Array, Faces, free_cloth, sheet
 from wrinkle_synthesis.kernels.cloth import hinges, springs
 from wrinkle_synthesis.wrinkle_addon.cloth import ClothSimulation
 from wrinkle_synthesis.wrinkle_addon.cloth_model import Fabric, build_cloth_model
-from wrinkle_synthesis.wrinkle_addon.fabrics import Material
+from wrinkle_synthesis.wrinkle_addon.fabrics import Material, Pair
 
 # Central differences of smooth float64 functions with this step are good to about 1e-8 of their scale.
 STEP = 1.0e-6
@@ -32,12 +32,12 @@ def cloth(rest: Array, faces: Faces, fabric: Fabric, device: str) -> ClothSimula
     return simulation
 
 
-def crumpled(material: Material, device: str) -> tuple[ClothSimulation, Array]:
+def crumpled(material: Material, device: str, bending: Pair = (1e-4, 4e-5)) -> tuple[ClothSimulation, Array]:
     """A crumpled sheet of this material, and its positions."""
     rng = np.random.default_rng(5)
     rest, faces = sheet(6, 5, 0.12, 0.1)
     rest[:, :2] += 0.003 * rng.normal(size=(len(rest), 2))
-    fabric = Fabric(stretch=(150.0, 80.0), bending=(1e-4, 4e-5), material=material, rest_bend=0.5)
+    fabric = Fabric(stretch=(150.0, 80.0), bending=bending, material=material, rest_bend=0.5, damping=0.02)
     rest[:, 2] = 0.005 * np.sin(60.0 * rest[:, 0])
     return cloth(rest, faces, fabric, device), rest * [0.97, 1.02, 1.0] + 0.004 * rng.normal(size=rest.shape)
 
@@ -45,6 +45,21 @@ def crumpled(material: Material, device: str) -> tuple[ClothSimulation, Array]:
 @pytest.mark.parametrize("material", CHOSEN)
 def test_force_and_exact_hessian_are_derivatives(device: str, material: Material) -> None:
     simulation, x = crumpled(material, device)
+    assert_derivatives(simulation, x)
+
+
+def test_force_and_exact_hessian_of_damping_are_derivatives(device: str) -> None:
+    simulation, x = crumpled("plate", device, bending=1e-7)
+    undamped = simulation.residual(x)
+    simulation.start(0.8 * x + 0.1)
+    with simulation._elasticity.damped(simulation._positions, 0.01):
+        assert np.abs(simulation.residual(x) - undamped).max() > 0.01 * np.abs(undamped).max()
+        assert_derivatives(simulation, x)
+    assert np.array_equal(simulation.residual(x), undamped)
+
+
+def assert_derivatives(simulation: ClothSimulation, x: Array) -> None:
+    """The static force is minus the derivative of the energy, the Hessian that of the force."""
     forces, hessian = simulation.residual(x)[0], simulation.hessian(x).toarray()
     differences, slopes = np.zeros_like(x), np.zeros_like(hessian)
     for vertex, axis in np.ndindex(*x.shape):
