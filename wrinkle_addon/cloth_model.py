@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .elastic_elements import (
+    BlockKeys,
     Gathering,
     HingeRest,
     SpringRest,
@@ -202,13 +203,11 @@ def _row_starts(sorted_rows: NDArray[np.integer], row_count: int) -> IntArray:
     return np.searchsorted(sorted_rows, np.arange(row_count + 1)).astype(np.int32)
 
 
-def _blocks(
-    faces: IntArray, elements: IntArray | None, vertex_count: int
-) -> tuple[NDArray[np.int64], IntArray, IntArray]:
+def _blocks(faces: IntArray, elements: IntArray | None, vertex_count: int) -> tuple[BlockKeys, IntArray, IntArray]:
     """Blocks of the Hessian, and for each one the corner pairs of triangles that contribute to it.
 
     Returns:
-        blocks: Keys row * vertex_count + column, ascending.
+        blocks: Ascending.
         start, contributions: Lists of triangle * 9 + row corner * 3 + column corner.
     """
     keys = element_keys(faces, vertex_count)

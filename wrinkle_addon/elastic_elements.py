@@ -5,9 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .fabrics import Fabric, Pair, both
 from .plate_bending import FloatArray, IntArray, inner_edges
+
+BlockKeys = NDArray[np.int64]
+"""Blocks of the Hessian as row * vertex_count + column."""
 
 LATTICE = 8.0 / 9.0
 """Beams between opposite corners that bend like a plate, as a share of its stiffness times area over length: exact on
@@ -113,13 +117,13 @@ def make_springs(faces: IntArray, edges: FloatArray, fabric: Fabric) -> SpringRe
     )
 
 
-def gather(vertices: IntArray, vertex_count: int, blocks: IntArray) -> Gathering:
+def gather(vertices: IntArray, vertex_count: int, blocks: BlockKeys) -> Gathering:
     """Where elements add to vertices and blocks.
 
     Args:
         vertices: Vertices of each element, shape [element_count, n].
         vertex_count: Of the garment.
-        blocks: Sorted keys row * vertex_count + column of the Hessian's blocks.
+        blocks: The Hessian's blocks, ascending.
     """
     owners = vertices.ravel()
     keys = np.searchsorted(blocks, element_keys(vertices, vertex_count))
@@ -132,8 +136,8 @@ def gather(vertices: IntArray, vertex_count: int, blocks: IntArray) -> Gathering
     )
 
 
-def element_keys(vertices: IntArray, vertex_count: int) -> IntArray:
-    """Keys row * vertex_count + column of every pair of corners, shape [element_count * n * n]."""
+def element_keys(vertices: IntArray, vertex_count: int) -> BlockKeys:
+    """Blocks of every pair of corners, shape [element_count * n * n]."""
     wide = vertices.astype(np.int64)
     return (wide[:, :, None] * vertex_count + wide[:, None, :]).ravel()
 
