@@ -35,7 +35,7 @@ from .plan import Sample, SamplePlan
 from .rig import FloatArray, Pose, Rig, pose_between, pose_of_angles
 from .surface import SurfaceMeasures
 
-SOLVER_VERSION = 1
+SOLVER_VERSION = 2
 """Raised whenever the solver gives other samples for the same input, so that old ones are not taken for new."""
 
 STATES = "states"

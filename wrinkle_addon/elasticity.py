@@ -40,12 +40,8 @@ class ElasticElements(Protocol):
         """Add the derivative of the energy by every vertex [N]."""
         ...
 
-    def add_blocks(self, blocks: wp.array) -> None:
-        """Add the positive semi-definite part of the Hessian [N/m]."""
-        ...
-
-    def add_remainder(self, positions: wp.array, kept: wp.array, blocks: wp.array) -> None:
-        """Add each world's share ``kept`` of the rest of the Hessian [N/m]; with all of it (1) it is exact."""
+    def add_blocks(self, positions: wp.array, kept: wp.array, blocks: wp.array) -> None:
+        """Add the Hessian at these positions [N/m], with each world's share ``kept`` of what makes it indefinite."""
         ...
 
 
@@ -169,13 +165,9 @@ class HingeBending(_Gathered):
         inputs = [self._hinges, self._bend, self._slope, *self._by_vertex, gradient]
         self._launch(hinges.add_hinge_gradient, gradient.shape, inputs, [])
 
-    def add_blocks(self, blocks: wp.array) -> None:
-        inputs = [self._hinges, self._slope, *self._by_block, blocks]
+    def add_blocks(self, positions: wp.array, kept: wp.array, blocks: wp.array) -> None:
+        inputs = [positions, self._hinges, self._bend, self._slope, kept, *self._by_block, blocks]
         self._launch(hinges.add_hinge_blocks, blocks.shape, inputs, [])
-
-    def add_remainder(self, positions: wp.array, kept: wp.array, blocks: wp.array) -> None:
-        inputs = [positions, self._hinges, self._bend, kept, *self._by_block, blocks]
-        self._launch(hinges.add_hinge_remainder, blocks.shape, inputs, [])
 
 
 class SpringNet(_Gathered):
@@ -189,7 +181,6 @@ class SpringNet(_Gathered):
             setattr(self._springs, name, self._upload(getattr(rest, name), wp.float64))
         self._direction = wp.zeros(self._shape, dtype=wp.vec3d, device=device)
         self._state = wp.zeros(self._shape, dtype=wp.vec3d, device=device)
-        self._nothing = wp.zeros(world_count, dtype=wp.float64, device=device)
 
     def deform(self, positions: wp.array) -> None:
         outputs = [self._direction, self._state, self._energy]
@@ -199,10 +190,6 @@ class SpringNet(_Gathered):
         inputs = [self._direction, self._state, *self._by_vertex, gradient]
         self._launch(springs.add_spring_gradient, gradient.shape, inputs, [])
 
-    def add_blocks(self, blocks: wp.array) -> None:
-        inputs = [self._direction, self._state, self._nothing, False, *self._by_block, blocks]
-        self._launch(springs.add_spring_blocks, blocks.shape, inputs, [])
-
-    def add_remainder(self, positions: wp.array, kept: wp.array, blocks: wp.array) -> None:
-        inputs = [self._direction, self._state, kept, True, *self._by_block, blocks]
+    def add_blocks(self, positions: wp.array, kept: wp.array, blocks: wp.array) -> None:
+        inputs = [self._direction, self._state, kept, *self._by_block, blocks]
         self._launch(springs.add_spring_blocks, blocks.shape, inputs, [])

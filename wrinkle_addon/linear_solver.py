@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from ..kernels.cloth import assembly, linear
+from ..kernels.cloth import assembly, coarse, linear
 from .cloth_model import ClothModel
+from .coarse_correction import CoarseCorrection
 from .elasticity import Elasticity
 
 if TYPE_CHECKING:
@@ -65,7 +66,9 @@ class BlockSystem:
             return wp.zeros(world_count, dtype=dtype, device=device)
 
         self.blocks = wp.zeros((world_count, len(model.columns)), dtype=wp.mat33, device=device)
+        self._diagonal = wp.zeros(self.shape, dtype=wp.mat33, device=device)
         self._inverse = wp.zeros(self.shape, dtype=wp.mat33, device=device)
+        self._correction = CoarseCorrection(model, self._far_coefficients, world_count)
         self._hold_pairs()
         self.solution, self._residual, self._direction = vectors(), vectors(), vectors()
         self._preconditioned, self._product = vectors(), vectors()
@@ -100,7 +103,7 @@ class BlockSystem:
             device=self._device,
         )
         for elements in elasticity.elements:
-            elements.add_blocks(self.blocks)
+            elements.add_blocks(positions, kept, self.blocks)
         wp.launch(
             assembly.assemble_diagonal,
             dim=self.shape,
@@ -108,23 +111,20 @@ class BlockSystem:
             outputs=[self.pair_stiffness],
             device=self._device,
         )
+
+    def precondition(self, positions: wp.array) -> None:
+        """Make the preconditioner from the blocks as they stand, which must be positive definite.
+
+        It goes on to serve for blocks with compressive stress, which are softer.
+        """
         wp.launch(
             assembly.precondition_diagonal,
             dim=self.shape,
-            inputs=[
-                self._garment,
-                self._contact,
-                elasticity.stress,
-                kept,
-                self.pair_stiffness,
-                self._diagonal_entry,
-                self.blocks,
-            ],
-            outputs=[self._inverse],
+            inputs=[self._contact, self.pair_stiffness, self._diagonal_entry, self.blocks],
+            outputs=[self._diagonal, self._inverse],
             device=self._device,
         )
-        for elements in elasticity.elements:
-            elements.add_remainder(positions, kept, self.blocks)
+        self._correction.assemble(positions, self.blocks, self._diagonal)
 
     def solve(self, gradient: wp.array, moving: wp.array, tolerance: float, max_iterations: int) -> int:
         """Solve H step = -gradient from zero; returns the largest number of iterations that a world took.
@@ -141,9 +141,11 @@ class BlockSystem:
             linear.start,
             dim=self.shape,
             inputs=[gradient, self._inverse],
-            outputs=[self.solution, self._residual, self._preconditioned, self._direction],
+            outputs=[self.solution, self._residual, self._preconditioned],
             device=self._device,
         )
+        self._correction.add(self._residual, self._preconditioned)
+        wp.copy(self._direction, self._preconditioned)
         self._dot(self._residual, self._preconditioned)
         wp.launch(
             linear.start_scalars,
@@ -221,7 +223,8 @@ class BlockSystem:
     def _recording(self, tolerance: float) -> wp.Graph:
         """A chunk of iterations, recorded once a tolerance: replaying costs a fraction of launching."""
         if tolerance not in self._recorded:
-            wp.load_module(linear, device=self._device)  # Nothing may compile while recording.
+            for module in (linear, coarse):  # Nothing may compile while recording.
+                wp.load_module(module, device=self._device)
             with wp.ScopedCapture(device=self._device, force_module_load=False) as capture:
                 for _ in range(RECORDED_ITERATIONS):
                     self._iterate(tolerance)
@@ -241,6 +244,7 @@ class BlockSystem:
             [self._alpha, self._direction, self._product, self._inverse, self.solution, self._residual],
             [self._preconditioned],
         )
+        self._correction.add(self._residual, self._preconditioned)
         self._dot(self._residual, self._preconditioned)
         launch(
             linear.next_scalars,

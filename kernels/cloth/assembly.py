@@ -10,7 +10,7 @@ import warp as wp
 from .bending import bending_gradient
 from .contact import PLANES, contact_curvature, contact_energy, contact_force
 from .friction import friction_energy, friction_hessian, friction_slope, tangential
-from .membrane import Membrane, mat32d, membrane_gradient, membrane_hessian, shape_gradient, tensile_part
+from .membrane import Membrane, mat32d, membrane_gradient, membrane_hessian, shape_gradient
 from .self_contact import pair_separation
 
 wp.set_module_options({"enable_backward": False})
@@ -269,39 +269,19 @@ def assemble_diagonal(
     blocks[world, entry] = blocks[world, entry] + wp.mat33(total)
 
 
-@wp.func
-def compression(garment: Garment, stress: wp.array2d[wp.vec3d], world: wp.int32, vertex: wp.int32) -> wp.float64:
-    """What the compressive stress takes from the vertex's own block, the same along every axis [N/m]."""
-    total = wp.float64(0.0)
-    for k in range(garment.corner_start[vertex], garment.corner_start[vertex + 1]):
-        triangle = garment.corners[k] // 3
-        g = shape_gradient(garment.rest_inverse[triangle], garment.corners[k] % 3)
-        s = tensile_part(stress[world, triangle]) - stress[world, triangle]
-        total += garment.rest_area[triangle] * (g[0] * (s[0] * g[0] + s[2] * g[1]) + g[1] * (s[2] * g[0] + s[1] * g[1]))
-    return total
-
-
 @wp.kernel
 def precondition_diagonal(
-    garment: Garment,
     contact: Contact,
-    stress: wp.array2d[wp.vec3d],
-    kept: wp.array[wp.float64],
     pair_stiffness: wp.array[wp.float32],
     diagonal_entry: wp.array[wp.int32],
     blocks: wp.array2d[wp.mat33],
     # outputs
+    diagonal: wp.array2d[wp.mat33],
     inverse: wp.array2d[wp.mat33],
 ):
-    """Inverse of each vertex's own block, pairs included [m/N]: the block Jacobi preconditioner.
-
-    Positive definite also for the exact Hessian: what compression took from it is put back.
-    """
+    """Each vertex's own block, pairs included [N/m], and its inverse: the block Jacobi preconditioner."""
     world, vertex = wp.tid()
     total = blocks[world, diagonal_entry[vertex]]
-    if kept[world] > wp.float64(0.0):
-        lost = kept[world] * compression(garment, stress, world, vertex)
-        total += wp.float32(lost) * wp.identity(n=3, dtype=wp.float32)
     owner = world * inverse.shape[1] + vertex
     for pair in range(contact.pair_start[owner], contact.pair_start[owner] + contact.pair_count[owner]):
         n = contact.pair_normal[pair]
@@ -312,4 +292,5 @@ def precondition_diagonal(
         w = contact.pair_weights[pair][contact.incident[k] % 3]
         n = contact.pair_normal[pair]
         total += (w * w * pair_stiffness[pair]) * wp.outer(n, n)
+    diagonal[world, vertex] = total
     inverse[world, vertex] = wp.inverse(total)

@@ -167,14 +167,20 @@ def add_hinge_gradient(
 
 @wp.kernel
 def add_hinge_blocks(
+    positions: wp.array2d[wp.vec3d],
     hinges: Hinges,
+    bend: wp.array2d[wp.float64],
     slope: wp.array3d[wp.vec3d],
+    kept: wp.array[wp.float64],
     start: wp.array[wp.int32],
     places: wp.array[wp.int32],
     # in and out
     blocks: wp.array2d[wp.mat33],
 ):
-    """Add the positive semi-definite part of the Hessian [N/m]; ``places`` are hinge * 16 + row * 4 + column."""
+    """Add the Hessian [N/m], with the share ``kept`` of what makes it indefinite.
+
+    ``places`` are hinge * 16 + row * 4 + column.
+    """
     world, entry = wp.tid()
     total = wp.mat33d()
     for k in range(start[entry], start[entry + 1]):
@@ -182,34 +188,14 @@ def add_hinge_blocks(
         i = (places[k] // 4) % 4
         j = places[k] % 4
         total += hinges.stiffness[hinge] * wp.outer(slope[world, hinge, i], slope[world, hinge, j])
+        if kept[world] > wp.float64(0.0):
+            curvature = angle_hessian(
+                positions[world, hinges.vertices[hinge, 0]],
+                positions[world, hinges.vertices[hinge, 1]],
+                positions[world, hinges.vertices[hinge, 2]],
+                positions[world, hinges.vertices[hinge, 3]],
+                i,
+                j,
+            )
+            total += (kept[world] * hinges.stiffness[hinge] * bend[world, hinge]) * curvature
     blocks[world, entry] = blocks[world, entry] + wp.mat33(total)
-
-
-@wp.kernel
-def add_hinge_remainder(
-    positions: wp.array2d[wp.vec3d],
-    hinges: Hinges,
-    bend: wp.array2d[wp.float64],
-    kept: wp.array[wp.float64],
-    start: wp.array[wp.int32],
-    places: wp.array[wp.int32],
-    # in and out
-    blocks: wp.array2d[wp.mat33],
-):
-    """Add the share ``kept`` of the rest of the Hessian [N/m]; all of it makes the Hessian exact."""
-    world, entry = wp.tid()
-    if kept[world] == wp.float64(0.0):
-        return
-    total = wp.mat33d()
-    for k in range(start[entry], start[entry + 1]):
-        hinge = places[k] // 16
-        curvature = angle_hessian(
-            positions[world, hinges.vertices[hinge, 0]],
-            positions[world, hinges.vertices[hinge, 1]],
-            positions[world, hinges.vertices[hinge, 2]],
-            positions[world, hinges.vertices[hinge, 3]],
-            (places[k] // 4) % 4,
-            places[k] % 4,
-        )
-        total += (hinges.stiffness[hinge] * bend[world, hinge]) * curvature
-    blocks[world, entry] = blocks[world, entry] + wp.mat33(kept[world] * total)

@@ -68,7 +68,6 @@ def start(
     solution: wp.array2d[wp.vec3],
     residual: wp.array2d[wp.vec3],
     preconditioned: wp.array2d[wp.vec3],
-    direction: wp.array2d[wp.vec3],
 ):
     """Begin at zero: residual minus the gradient."""
     world, vertex = wp.tid()
@@ -77,7 +76,6 @@ def start(
     solution[world, vertex] = wp.vec3()
     residual[world, vertex] = r
     preconditioned[world, vertex] = z
-    direction[world, vertex] = z
 
 
 @wp.kernel

@@ -128,27 +128,22 @@ def add_spring_blocks(
     direction: wp.array2d[wp.vec3d],
     state: wp.array2d[wp.vec3d],
     kept: wp.array[wp.float64],
-    only_kept: wp.bool,
     start: wp.array[wp.int32],
     places: wp.array[wp.int32],
     # in and out
     blocks: wp.array2d[wp.mat33],
 ):
-    """Add the positive semi-definite part of the Hessian [N/m], or only the share ``kept`` of the rest of it.
+    """Add the Hessian [N/m], with the share ``kept`` of what makes it indefinite.
 
     ``places`` are spring * 4 + row * 2 + column.
     """
     world, entry = wp.tid()
-    if only_kept and kept[world] == wp.float64(0.0):
-        return
     total = wp.mat33d()
     for k in range(start[entry], start[entry + 1]):
         spring = places[k] // 4
         d = direction[world, spring]
         s = state[world, spring]
-        part = spring_hessian(d, s[0], s[1], s[2], wp.float64(0.0))
-        if only_kept:
-            part = spring_hessian(d, s[0], s[1], s[2], kept[world]) - part
+        part = spring_hessian(d, s[0], s[1], s[2], kept[world])
         if (places[k] // 2) % 2 != places[k] % 2:
             part = -part
         total += part

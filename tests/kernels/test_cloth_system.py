@@ -149,7 +149,7 @@ def test_conjugate_gradients_solve_what_a_direct_solver_solves(device, kept, spa
     simulation._set_inertia(positions + 0.003, 1.0 / np.array(spans) ** 2)
     right = gradient(simulation, positions)
     simulation._kept.fill_(kept)
-    system.assemble(simulation._positions, simulation._inverse_dt2, simulation._kept)
+    simulation._linearise()
     system.solve(simulation._gradient, simulation._moving, 1.0e-6, 2000)
     iterations = system._iterations.numpy()
     assert len(set(iterations)) == 3 and iterations.max() < 2000
@@ -167,7 +167,7 @@ def test_a_world_that_rests_takes_no_step(device):
     gradient(simulation, positions)
     simulation._moving.assign(np.array([1, 0, 1], np.int32))
     system = simulation._system
-    system.assemble(simulation._positions, simulation._inverse_dt2, simulation._kept)
+    simulation._linearise()
     system.solve(simulation._gradient, simulation._moving, 1.0e-3, 100)
     sizes = np.abs(system.solution.numpy()).max((1, 2))
     assert sizes[1] == 0.0 and sizes[0] > 0.0 and sizes[2] > 0.0
