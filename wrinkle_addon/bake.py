@@ -340,6 +340,7 @@ class Wearer:
             garment.faces,
             settings.fabric,
             length_directions=limb_directions(rig, garment),
+            warp_directions=garment.warp,
             ease=settings.ease,
         )
         self._pose = Pose.at_rest(rig)

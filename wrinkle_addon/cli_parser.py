@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
+from .fabrics import FABRICS
+
 AddVerb = Callable[..., "Parser"]
 
 
@@ -56,6 +58,7 @@ def _add_character_verbs(add: AddVerb) -> None:
     setup.add_argument("--subdivide", type=int, help="levels; left out, until at least 10,000 vertices")
     setup.add_argument("--joints", help="joints to sample, separated by commas; left out, all that move the garment")
     setup.add_argument("--ease", metavar="GIRTH,LENGTH", help="extra cloth in percent, such as 3,4")
+    setup.add_argument("--fabric", metavar="NAME", help=f"what it is made of: {', '.join(FABRICS)}")
     setup.add_argument("--pins", help="vertex group of the garment that is held to the skin")
     setup.add_argument("--out", type=Path, required=True, help="the .blend file to write")
 

@@ -17,9 +17,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ..kernels.cloth import assembly, membrane
+from ..kernels.cloth import assembly
 from .cloth_contact import ContactSearch, ContactSettings, Limbs
 from .cloth_model import ClothModel, FloatArray, IntArray
+from .elasticity import Elasticity, membrane_of
 from .linear_solver import BlockSystem
 from .surface import BodyVolume, SurfaceMeasures
 from .untangling import untangle
@@ -128,6 +129,7 @@ class ClothSimulation:
         if not len(body_faces):
             raise ValueError("The body has no faces to collide with.")
         self._garment = self._upload_garment(pin_stiffness)
+        self._elasticity = Elasticity(model, self._garment, world_count)
         self._allocate_state()
         self._surface = SurfaceMeasures(model.faces, model.vertex_count)
         self._body_faces = body_faces
@@ -141,7 +143,7 @@ class ClothSimulation:
             self._per_world(body_positions, "body_positions", self._body_count),
             limbs,
         )
-        self._system = BlockSystem(model, self._garment, self._contact.frozen, world_count)
+        self._system = BlockSystem(model, self._garment, self._elasticity, self._contact.frozen, world_count)
         self.set_gravity([0.0, 0.0, -STANDARD_GRAVITY])
 
     # State
@@ -231,8 +233,9 @@ class ClothSimulation:
         before = self.positions
         target = before + dt * self._velocities.numpy()
         self.move_body(body_positions)
-        self._positions.assign(target if guess is None else self._per_world(guess, "guess"))
-        self._minimise(target, dt)
+        with self._elasticity.damped(self._positions, dt):
+            self._positions.assign(target if guess is None else self._per_world(guess, "guess"))
+            self._minimise(target, dt)
         self._velocities.assign((self._positions.numpy() - before) / dt)
 
     def follow(self, body_positions: ArrayLike, carried: ArrayLike, dt: float = 1.0 / 30.0) -> None:
@@ -433,23 +436,25 @@ class ClothSimulation:
             self._assemble(self._kept)
 
     def _assemble(self, kept: wp.array) -> None:
-        self._system.assemble(self._positions, self._deformation, self._stress, self._inverse_dt2, kept)
+        self._system.assemble(self._positions, self._inverse_dt2, kept)
 
     def _evaluate_gradient(self) -> wp.array:
-        self._deform()
+        self._elasticity.deform(self._positions)
         contact = self._contact
         self._push_pairs()
         self._launch(
             assembly.gradient,
             self.shape,
-            [*self._potential(), self._deformation, self._stress, contact.pair_force],
+            [*self._potential(), self._elasticity.deformation, self._elasticity.stress, contact.pair_force],
             [self._gradient],
         )
+        for elements in self._elasticity.elements:
+            elements.add_gradient(self._gradient)
         return self._gradient
 
     def _evaluate_energy(self) -> FloatArray:
         """Incremental potential of each world [J], shape [world_count]."""
-        self._deform()
+        self._elasticity.deform(self._positions)
         self._push_pairs()
         self._launch(
             assembly.vertex_energies,
@@ -457,7 +462,7 @@ class ClothSimulation:
             [*self._potential(), self._contact.pair_energy],
             [self._vertex_energy],
         )
-        return self._vertex_energy.numpy().sum(1) + self._triangle_energy.numpy().sum(1)
+        return self._vertex_energy.numpy().sum(1) + self._elasticity.energy()
 
     def _potential(self) -> list:
         """What the incremental potential depends on, as its kernels take it."""
@@ -470,15 +475,6 @@ class ClothSimulation:
             self._inverse_dt2,
             self._pin_target,
         ]
-
-    def _deform(self) -> None:
-        g = self._garment
-        self._launch(
-            membrane.deform_triangles,
-            (self.world_count, self.model.triangle_count),
-            [self._positions, g.faces, g.rest_inverse, g.rest_area, g.stiffness],
-            [self._deformation, self._stress, self._triangle_energy],
-        )
 
     def _push_pairs(self) -> None:
         contact = self._contact
@@ -541,7 +537,7 @@ class ClothSimulation:
         garment = assembly.Garment()
         garment.faces = wp.array(model.faces, dtype=wp.int32, device=self.device)
         garment.rest_inverse = wp.array(model.rest_inverse, dtype=wp.mat22d, device=self.device)
-        garment.stiffness = wp.vec4d(*model.fabric.stiffness)
+        garment.membrane = membrane_of(model.fabric)
         for name in ("rest_area", "mass", "area", "bending_coefficients"):
             setattr(garment, name, wp.array(getattr(model, name), dtype=wp.float64, device=self.device))
         for name in ("corner_start", "corners", "bending_start", "bending_columns"):
@@ -556,16 +552,12 @@ class ClothSimulation:
         def array(shape: tuple[int, ...] | int, dtype: type) -> wp.array:
             return wp.zeros(shape, dtype=dtype, device=self.device)
 
-        triangles = (self.world_count, self.model.triangle_count)
         self._positions = array(self.shape, wp.vec3d)
         self._velocities = array(self.shape, wp.vec3d)
         self._inertia_target = array(self.shape, wp.vec3d)
         self._pin_target = array(self.shape, wp.vec3d)
         self._gradient = array(self.shape, wp.vec3d)
         self._vertex_energy = array(self.shape, wp.float64)
-        self._deformation = array(triangles, membrane.mat32d)
-        self._stress = array(triangles, wp.vec3d)
-        self._triangle_energy = array(triangles, wp.float64)
         self._inverse_dt2 = array(self.world_count, wp.float64)
         self._gravity = array(self.world_count, wp.vec3d)
         self._kept, self._nothing_kept = array(self.world_count, wp.float64), array(self.world_count, wp.float64)

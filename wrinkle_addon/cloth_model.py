@@ -10,52 +10,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from .elastic_elements import (
+    BlockKeys,
+    Gathering,
+    HingeRest,
+    SpringRest,
+    element_keys,
+    gather,
+    make_hinges,
+    make_springs,
+)
+from .fabrics import Fabric
 from .plate_bending import FloatArray, IntArray, bending_matrix
-
-
-@dataclass(frozen=True)
-class Fabric:
-    """What the garment is made of.
-
-    Attributes:
-        stretch: Stiffness against stretching [N/m].
-        poisson: How much a stretched strip narrows and a bent one curls across, from 0 up to 0.5.
-        shear: Stiffness against shearing as a share of the isotropic one; woven cloth shears more easily.
-        bending: Bending stiffness, moment per width and curvature [N m].
-        density: Mass per area [kg/m^2].
-        friction: Coulomb coefficient against the body while sliding (W26, S49).
-        static_friction: Coulomb coefficient up to which a resting contact holds (W27); left out, that of sliding.
-    """
-
-    stretch: float = 120.0
-    poisson: float = 0.3
-    shear: float = 1.0
-    bending: float = 6.0e-5
-    density: float = 0.15
-    friction: float = 0.3
-    static_friction: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("stretch", "bending", "density"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"The fabric's {name} must be greater than 0, not {getattr(self, name)}.")
-        if not 0.0 <= self.poisson < 0.5:
-            raise ValueError(f"The fabric's Poisson ratio must lie in [0, 0.5), not be {self.poisson}.")
-        if self.friction < 0.0 or self.shear <= 0.0:
-            raise ValueError("The fabric's friction must not be negative and its shear must be greater than 0.")
-        if self.holding_friction < self.friction:
-            raise ValueError("The fabric's static friction must not be smaller than its friction while sliding.")
-
-    @property
-    def holding_friction(self) -> float:
-        """Coulomb coefficient of a resting contact."""
-        return self.friction if self.static_friction is None else self.static_friction
-
-    @property
-    def stiffness(self) -> tuple[float, float, float, float]:
-        """(c11, c12, c22, c33) of :mod:`..kernels.cloth.membrane` [N/m]."""
-        along = self.stretch / (1.0 - self.poisson**2)
-        return along, self.poisson * along, along, self.shear * self.stretch / (2.0 * (1.0 + self.poisson))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,13 +36,15 @@ class ClothModel:
         mass: Mass of each vertex [kg], shape [vertex_count].
         area: Rest area that each vertex stands for [m^2], shape [vertex_count].
         corner_start, corners: For each vertex the list of its triangle corners, triangle * 3 + corner.
-        row_start, columns: One-ring of each vertex, itself included, in ascending order.
+        row_start, columns: One-ring of each vertex, itself included, in ascending order; for hinges or springs also
+            the corners opposite to it.
         diagonal_entry: Place of each vertex in its own row.
         contribution_start, contributions: For each block the triangle corners pairs that add to it,
             triangle * 9 + row corner * 3 + column corner.
-        bending_start, bending_columns, bending_coefficients: The matrix b Q of the quadratic bending energy [N/m].
-        block_bending: The part of b Q that falls on the one-ring's blocks [N/m].
-        far_start, far_columns, far_coefficients: The part of b Q outside the one-ring [N/m].
+        bending_start, bending_columns, bending_coefficients: The matrix Q of the quadratic bending energy [N/m].
+        block_bending: The part of Q that falls on the one-ring's blocks [N/m].
+        far_start, far_columns, far_coefficients: The part of Q outside the one-ring [N/m].
+        hinges, springs: Those of a fabric that is made of them, with where they add to vertices and blocks.
     """
 
     fabric: Fabric
@@ -100,6 +68,8 @@ class ClothModel:
     far_start: IntArray
     far_columns: IntArray
     far_coefficients: FloatArray = field(repr=False)
+    hinges: tuple[HingeRest, Gathering] | None = None
+    springs: tuple[SpringRest, Gathering] | None = None
 
     @property
     def vertex_count(self) -> int:
@@ -116,6 +86,7 @@ def build_cloth_model(
     fabric: Fabric,
     *,
     length_directions: FloatArray | None = None,
+    warp_directions: FloatArray | None = None,
     ease: tuple[float, float] = (0.0, 0.0),
 ) -> ClothModel:
     """Build the model of a garment cut like ``positions`` and then let out by ``ease``.
@@ -126,6 +97,8 @@ def build_cloth_model(
         fabric: The material.
         length_directions: Direction of each triangle's length (along the limb), shape [triangle_count, 3]; needed
             when there is ease.
+        warp_directions: Direction of the fabric's warp on each triangle, shape [triangle_count, 3]; left out, and
+            where it is zero, that of the length.
         ease: Extra cloth around the girth and along the length, as shares of the surface's own size: design slack
             that turns a shell into a garment that can fold.
 
@@ -141,31 +114,28 @@ def build_cloth_model(
     if (doubled < 1e-12).any():
         raise ValueError(f"{int((doubled < 1e-12).sum())} triangles of the garment have no area; merge by distance.")
     normals /= doubled[:, None]
-    length = first if length_directions is None else length_directions
-    length = length - (length * normals).sum(1, keepdims=True) * normals
-    size = np.linalg.norm(length, axis=1)
-    # A length that stands on the triangle tells nothing; any direction in the plane serves there.
-    length = np.where((size > 1e-6)[:, None], length, first)
-    length /= np.linalg.norm(length, axis=1)[:, None]
-    girth = np.cross(normals, length)
-    girth_scale, length_scale = 1.0 + ease[0], 1.0 + ease[1]
-    edges = np.empty((len(faces), 2, 2), np.float64)
-    for column, edge in enumerate((first, second)):
-        edges[:, 0, column] = (edge * length).sum(1) * length_scale
-        edges[:, 1, column] = (edge * girth).sum(1) * girth_scale
+    length = _in_plane(first if length_directions is None else length_directions, normals, first)
+    warp = length if warp_directions is None else _in_plane(warp_directions, normals, length)
+    edges = _material_edges(first, second, normals, length, warp, ease)
     rest_area = 0.5 * np.linalg.det(edges).astype(np.float64)
     vertex_count = len(positions)
     area = np.bincount(faces.ravel(), np.repeat(rest_area / 3.0, 3), vertex_count).astype(np.float64)
     corner_start, corner_list = group(faces.ravel(), vertex_count)
-    row_start, columns, contribution_start, contributions = _one_ring(faces, vertex_count)
-    rows = np.repeat(np.arange(vertex_count), np.diff(row_start))
-    b_rows, b_columns, b_values = bending_matrix(positions, faces, fabric.bending, fabric.poisson)
+    hinges = make_hinges(positions, faces, edges, fabric) if fabric.material == "hinges" else None
+    springs = make_springs(faces, edges, fabric) if fabric.material == "springs" else None
+    elements = hinges or springs
+    blocks, contribution_start, contributions = _blocks(faces, elements and elements.vertices, vertex_count)
+    rows, columns = blocks // vertex_count, (blocks % vertex_count).astype(np.int32)
+    row_start = _row_starts(rows, vertex_count)
+    if elements is None:
+        b_rows, b_columns, b_values = bending_matrix(positions, faces, warp, fabric.plate)
+    else:
+        b_rows, b_columns, b_values = np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0)
     bending_start = _row_starts(b_rows, vertex_count)
     # Both lists are sorted by (row, column), so their keys can be searched.
-    ring_keys = rows.astype(np.int64) * vertex_count + columns
     bending_keys = b_rows.astype(np.int64) * vertex_count + b_columns
-    place = np.minimum(np.searchsorted(ring_keys, bending_keys), len(ring_keys) - 1)
-    near = ring_keys[place] == bending_keys
+    place = np.minimum(np.searchsorted(blocks, bending_keys), len(blocks) - 1)
+    near = blocks[place] == bending_keys
     block_bending = np.zeros(len(columns))
     block_bending[place[near]] = b_values[near]
     return ClothModel(
@@ -190,7 +160,38 @@ def build_cloth_model(
         far_start=_row_starts(b_rows[~near], vertex_count),
         far_columns=b_columns[~near].astype(np.int32),
         far_coefficients=b_values[~near],
+        hinges=hinges and (hinges, gather(hinges.vertices, vertex_count, blocks)),
+        springs=springs and (springs, gather(springs.vertices, vertex_count, blocks)),
     )
+
+
+def _in_plane(directions: FloatArray, normals: FloatArray, otherwise: FloatArray) -> FloatArray:
+    """Directions laid into their triangles' planes, unit vectors, shape [triangle_count, 3].
+
+    One that stands on its triangle tells nothing; there it is taken from ``otherwise``, which lies in the plane.
+    """
+    flat = directions - (directions * normals).sum(1, keepdims=True) * normals
+    flat = np.where((np.linalg.norm(flat, axis=1) > 1e-6)[:, None], flat, otherwise)
+    return flat / np.linalg.norm(flat, axis=1)[:, None]
+
+
+def _material_edges(
+    first: FloatArray,
+    second: FloatArray,
+    normals: FloatArray,
+    length: FloatArray,
+    warp: FloatArray,
+    ease: tuple[float, float],
+) -> FloatArray:
+    """Rest edge matrices in warp and weft [m], shape [triangle_count, 2, 2]: eased along the length, then turned."""
+    girth = np.cross(normals, length)
+    cosine, sine = (warp * length).sum(1), (warp * girth).sum(1)
+    edges = np.empty((len(first), 2, 2), np.float64)
+    for column, edge in enumerate((first, second)):
+        along, around = (edge * length).sum(1) * (1.0 + ease[1]), (edge * girth).sum(1) * (1.0 + ease[0])
+        edges[:, 0, column] = cosine * along + sine * around
+        edges[:, 1, column] = cosine * around - sine * along
+    return edges
 
 
 def group(owners: NDArray[np.integer], owner_count: int) -> tuple[IntArray, IntArray]:
@@ -209,11 +210,15 @@ def _row_starts(sorted_rows: NDArray[np.integer], row_count: int) -> IntArray:
     return np.searchsorted(sorted_rows, np.arange(row_count + 1)).astype(np.int32)
 
 
-def _one_ring(faces: IntArray, vertex_count: int) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-    """Block rows of a mesh and, for each block, the corner pairs that contribute to it."""
-    i, j = np.meshgrid(range(3), range(3), indexing="ij")
-    keys = faces[:, i.ravel()].astype(np.int64) * vertex_count + faces[:, j.ravel()]
-    blocks, entry = np.unique(keys.ravel(), return_inverse=True)
-    start, contributions = group(entry.ravel(), len(blocks))
-    rows, columns = blocks // vertex_count, (blocks % vertex_count).astype(np.int32)
-    return _row_starts(rows, vertex_count), columns, start, contributions
+def _blocks(faces: IntArray, elements: IntArray | None, vertex_count: int) -> tuple[BlockKeys, IntArray, IntArray]:
+    """Blocks of the Hessian, and for each one the corner pairs of triangles that contribute to it.
+
+    Returns:
+        blocks: Ascending.
+        start, contributions: Lists of triangle * 9 + row corner * 3 + column corner.
+    """
+    keys = element_keys(faces, vertex_count)
+    more = [] if elements is None else [element_keys(elements, vertex_count)]
+    blocks = np.unique(np.concatenate([keys, *more]))
+    start, contributions = group(np.searchsorted(blocks, keys), len(blocks))
+    return blocks, start, contributions

@@ -81,6 +81,7 @@ class DatabaseHeader:
             "skin_bones": garment.weights.bones,
             "skin_weights": garment.weights.weights,
             "pins": garment.pins,
+            **({} if garment.warp is None else {"warp": garment.warp}),
             "bone_segment": regions.bone_segment,
             "vertex_segment": regions.vertex_segment,
         }
@@ -105,7 +106,9 @@ class DatabaseHeader:
             weights = SkinWeights(arrays["skin_bones"], arrays["skin_weights"])
             if weights.bones.min() < 0 or weights.bones.max() >= rig.bone_count:
                 raise StorageError(f"The file '{path}' names bones that its rig does not have; remake it.")
-            garment = Garment(data["garment"], arrays["positions"], arrays["faces"], weights, arrays["pins"])
+            garment = Garment(
+                data["garment"], arrays["positions"], arrays["faces"], weights, arrays["pins"], arrays.get("warp")
+            )
             if garment.faces.min() < 0 or garment.faces.max() >= garment.vertex_count:
                 raise StorageError(f"The file '{path}' has faces with vertices that are not there; remake it.")
             regions = Regions(

@@ -112,6 +112,8 @@ class Garment:
         faces: Triangles, outward by their winding, shape [triangle_count, 3].
         weights: What carries it along with the rig.
         pins: How firmly each vertex is held to the skin, from 0 to 1, shape [vertex_count].
+        warp: Direction of the fabric's warp on each triangle, unit vectors or zero where it is not known, shape
+            [triangle_count, 3]; None where it is known nowhere. See :func:`warp_directions`.
     """
 
     name: str
@@ -119,6 +121,7 @@ class Garment:
     faces: IntArray
     weights: SkinWeights
     pins: NDArray[np.float32]
+    warp: FloatArray | None = None
 
     @property
     def vertex_count(self) -> int:
@@ -130,13 +133,14 @@ class Garment:
         return vertex_normals(self.positions, self.faces)
 
     def fingerprint(self) -> str:
-        """Hash of topology, modelled shape (rounded to 10 micrometres), weights and pins."""
+        """Hash of topology, modelled shape (rounded to 10 micrometres), weights, pins and warp (to 1e-3)."""
         return _hash(
             self.faces,
             np.round(self.positions * 1e5),
             self.weights.bones,
             np.round(self.weights.weights * 1e4),
             np.round(self.pins * 1e3),
+            *([] if self.warp is None else [np.round(self.warp * 1e3)]),
         )
 
     def topology(self) -> str:
@@ -160,6 +164,29 @@ def vertex_normals(positions: FloatArray, faces: IntArray) -> FloatArray:
         [np.bincount(faces.ravel(), np.repeat(face_normals[:, k], 3), len(positions)) for k in range(3)], 1
     )
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+
+
+def warp_directions(positions: FloatArray, faces: IntArray, uvs: FloatArray) -> FloatArray | None:
+    """Where V grows on each triangle: the warp of a garment whose texture coordinates are its flat pattern.
+
+    Args:
+        positions: Vertices [m], shape [vertex_count, 3].
+        faces: Triangles, shape [triangle_count, 3].
+        uvs: Texture coordinates of every corner, shape [triangle_count, 3, 2].
+
+    Returns:
+        Unit vectors, zero where the coordinates span no area, shape [triangle_count, 3]; None if they span none at all.
+    """
+    edges = positions[faces[:, 1:]] - positions[faces[:, :1]]
+    u, v = np.moveaxis(uvs[:, 1:] - uvs[:, :1], 2, 0)
+    span = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    known = np.abs(span) > 1e-9 * np.abs(span).max(initial=0.0)
+    if not known.any():
+        return None
+    along = np.sign(span)[:, None] * (u[:, :1] * edges[:, 1] - u[:, 1:] * edges[:, 0])
+    size = np.linalg.norm(along, axis=1)
+    known &= size > 0.0
+    return np.where(known[:, None], along / np.where(known, size, 1.0)[:, None], 0.0)
 
 
 def check_surface(name: str, positions: FloatArray, faces: IntArray) -> None:

@@ -11,6 +11,7 @@ import warp as wp
 from ..kernels.cloth import assembly, coarse, linear
 from .cloth_model import ClothModel
 from .coarse_correction import CoarseCorrection
+from .elasticity import Elasticity
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -28,12 +29,20 @@ class BlockSystem:
         solution: Step found by :meth:`solve` [m], shape [world_count, vertex_count].
     """
 
-    def __init__(self, model: ClothModel, garment: assembly.Garment, contact: assembly.Contact, world_count: int):
+    def __init__(
+        self,
+        model: ClothModel,
+        garment: assembly.Garment,
+        elasticity: Elasticity,
+        contact: assembly.Contact,
+        world_count: int,
+    ):
         device = contact.face.device
         vertex_count = model.vertex_count
         self.shape = (world_count, vertex_count)
         self._model = model
         self._garment = garment
+        self._elasticity = elasticity
         self._contact = contact
         self._device = device
 
@@ -68,29 +77,24 @@ class BlockSystem:
         self._alpha, self._beta = scalars(wp.float32), scalars(wp.float32)
         self._active, self._iterations = scalars(wp.int32), scalars(wp.int32)
 
-    def assemble(
-        self,
-        positions: wp.array,
-        deformation: wp.array,
-        stress: wp.array,
-        inverse_dt2: wp.array,
-        kept: wp.array,
-    ) -> None:
-        """Fill the blocks at ``positions`` (float64 [m]) for the contact planes as they stand.
+    def assemble(self, positions: wp.array, inverse_dt2: wp.array, kept: wp.array) -> None:
+        """Fill the blocks at ``positions`` (float64 [m]) for the elasticity and the contact planes as they stand.
 
         ``kept`` is the share of its compressive stress that each world takes into account, shape [world_count]: 1 for
         the exact Hessian, which may be indefinite, 0 for a positive definite one.
         """
         if len(self._contact.pair_strength) != len(self.pair_stiffness):
             self._hold_pairs()
+        elasticity = self._elasticity
+        elasticity.linearise(kept)
         wp.launch(
             assembly.assemble_blocks,
             dim=self.blocks.shape,
             inputs=[
                 self._garment,
-                deformation,
-                stress,
-                kept,
+                elasticity.deformation,
+                elasticity.tangent,
+                elasticity.held,
                 self._contribution_start,
                 self._contributions,
                 self._block_bending,
@@ -98,6 +102,8 @@ class BlockSystem:
             outputs=[self.blocks],
             device=self._device,
         )
+        for elements in elasticity.elements:
+            elements.add_blocks(positions, kept, self.blocks)
         wp.launch(
             assembly.assemble_diagonal,
             dim=self.shape,

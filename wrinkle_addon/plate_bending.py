@@ -14,22 +14,22 @@ LEAST_TOLD = 0.02
 
 
 def bending_matrix(
-    positions: FloatArray, faces: IntArray, bending: float, poisson: float
+    positions: FloatArray, faces: IntArray, warp: FloatArray, plate: tuple[float, float, float, float]
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """b Q as triplets (row, column, value) [N/m], sorted by row and column, none twice.
+    """Q as triplets (row, column, value) [N/m], sorted by row and column, none twice.
 
     Args:
         positions: Rest surface [m], shape [vertex_count, 3].
         faces: Triangles, shape [triangle_count, 3].
-        bending: Stiffness b [N m].
-        poisson: Poisson's ratio.
+        warp: Direction of the warp in each triangle's plane, unit vectors, shape [triangle_count, 3].
+        plate: (D11, D12, D22, D33) of the plate in warp and weft [N m]; see :attr:`~.fabrics.Fabric.plate`.
     """
     edges, sides = inner_edges(faces)
     turn, moment = _hinges(positions, edges)
     hinges = np.full(3 * len(faces), -1)
     hinges[sides] = np.arange(len(edges))[:, None]
     hinges = hinges.reshape(-1, 3)
-    weights = _hinge_weights(positions, faces, hinges, moment, bending, poisson)
+    weights = _hinge_weights(positions, faces, hinges, moment, warp, plate)
     keys, values = [], []
     for i, j in np.ndindex(3, 3):
         both = (hinges[:, i] >= 0) & (hinges[:, j] >= 0)
@@ -84,7 +84,12 @@ def _hinges(positions: FloatArray, edges: IntArray) -> tuple[FloatArray, FloatAr
 
 
 def _hinge_weights(
-    positions: FloatArray, faces: IntArray, hinges: NDArray[np.intp], moment: FloatArray, bending: float, poisson: float
+    positions: FloatArray,
+    faces: IntArray,
+    hinges: NDArray[np.intp],
+    moment: FloatArray,
+    warp: FloatArray,
+    plate: tuple[float, float, float, float],
 ) -> FloatArray:
     """Each triangle's energy as a quadratic form of the turns of its three edges, shape [triangle_count, 3, 3]."""
     corners = positions[faces]
@@ -93,16 +98,17 @@ def _hinge_weights(
     area = 0.5 * np.linalg.norm(normal, axis=1)
     normal /= 2.0 * area[:, None]
     along /= np.linalg.norm(along, axis=2, keepdims=True)
-    # From each edge's axes to those of the first one; half a turn, as on the edge's second side, changes no square.
-    cosine = (along * along[:, :1]).sum(2)
-    sine = (np.cross(along[:, :1], along) * normal[:, None]).sum(2)
+    # From each edge's axes to warp and weft; half a turn, as on the edge's second side, changes no square.
+    cosine = (along * warp[:, None]).sum(2)
+    sine = (np.cross(warp[:, None], along) * normal[:, None]).sum(2)
     turned = np.stack([np.stack([cosine, -sine], 2), np.stack([sine, cosine], 2)], 2)
     local = turned @ moment[hinges] @ turned.transpose(0, 1, 3, 2)
-    # Turn of each hinge by the curvatures xx, yy and xy; a border turns by nothing.
+    # Turn of each hinge by the curvatures of warp, weft and twist; a border turns by nothing.
     told = np.stack([0.5 * local[..., 0, 0], 0.5 * local[..., 1, 1], local[..., 0, 1]], 2)
     curvature = np.linalg.pinv(np.where((hinges >= 0)[:, :, None], told, 0.0), rcond=LEAST_TOLD)
-    plate = np.array([[1.0, poisson, 0.0], [poisson, 1.0, 0.0], [0.0, 0.0, 2.0 * (1.0 - poisson)]])
-    return np.einsum("t,tai,ab,tbj->tij", bending * area, curvature, plate, curvature)
+    d11, d12, d22, d33 = plate
+    rigidity = np.array([[d11, d12, 0.0], [d12, d22, 0.0], [0.0, 0.0, 2.0 * d33]])
+    return np.einsum("t,tai,ab,tbj->tij", area, curvature, rigidity, curvature)
 
 
 def _cotangent(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -14,6 +14,8 @@ from .rig import Joint, Rig, pose_of_angles
 
 VERTEX_TOLERANCE = 1e-4
 BODY_TOLERANCE = 2e-3
+WARP_TOLERANCE = 0.05
+"""How far a mirrored warp may lie from its image, as a sine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +79,23 @@ def find_mirror(rig: Rig, joints: Sequence[Joint], garment: Garment, body: Body)
     if np.abs(bind_to_surface(reflected, body.positions, body.faces).distance).max() > BODY_TOLERANCE:
         return None
     vertices = mirror_vertices(garment.positions, garment.faces, point, normal)
-    if vertices is None:
+    if vertices is None or not warp_is_symmetric(garment, vertices, normal):
         return None
     names = {joint.name: by_name.get(other_side(joint.name), joint).name for joint in joints}
     return Mirror(point, normal, vertices, names, signs)
+
+
+def warp_is_symmetric(garment: Garment, vertices: IntArray, normal: FloatArray) -> bool:
+    """Whether the fabric of mirrored triangles lies mirrored, too; a fabric cut on the bias may not."""
+    if garment.warp is None:
+        return True
+    place = {tuple(corners): triangle for triangle, corners in enumerate(np.sort(garment.faces, 1))}
+    images = garment.warp[[place[tuple(corners)] for corners in np.sort(vertices[garment.faces], 1)]]
+    mirrored = reflect(garment.warp, np.zeros(3), normal)
+    # A warp has no sense of direction: lines are compared, not arrows.
+    apart = np.linalg.norm(np.cross(mirrored, images), axis=1)
+    both_known = mirrored.any(1) == images.any(1)
+    return bool((apart <= WARP_TOLERANCE).all() and both_known.all())
 
 
 def symmetric_limits(joints: Sequence[Joint], mirror: Mirror) -> list[Joint]:

@@ -10,7 +10,7 @@ import warp as wp
 from .bending import bending_gradient
 from .contact import PLANES, contact_curvature, contact_energy, contact_force
 from .friction import friction_energy, friction_hessian, friction_slope, tangential
-from .membrane import mat32d, membrane_gradient, membrane_hessian, shape_gradient, tensile_part
+from .membrane import Membrane, mat32d, membrane_gradient, membrane_hessian, shape_gradient
 from .self_contact import pair_separation
 
 wp.set_module_options({"enable_backward": False})
@@ -23,7 +23,7 @@ class Garment:
     faces: wp.array2d[wp.int32]
     rest_inverse: wp.array[wp.mat22d]
     rest_area: wp.array[wp.float64]
-    stiffness: wp.vec4d
+    membrane: Membrane
     mass: wp.array[wp.float64]
     area: wp.array[wp.float64]
     corner_start: wp.array[wp.int32]
@@ -199,8 +199,8 @@ def gradient(
 def assemble_blocks(
     garment: Garment,
     deformation: wp.array2d[mat32d],
-    stress: wp.array2d[wp.vec3d],
-    kept: wp.array[wp.float64],
+    tangent: wp.array2d[wp.vec4d],
+    held: wp.array2d[wp.vec3d],
     contribution_start: wp.array[wp.int32],
     contributions: wp.array[wp.int32],
     block_bending: wp.array[wp.float64],
@@ -209,7 +209,7 @@ def assemble_blocks(
 ):
     """Membrane and bending Hessian on the one-ring [N/m]; contributions are triangle * 9 + row * 3 + column.
 
-    ``kept`` is the share of compressive stress that counts: 1 for the exact Hessian, 0 for a positive definite one.
+    ``tangent`` and ``held`` come from :func:`~.triangles.linearise_triangles`.
     """
     world, entry = wp.tid()
     total = block_bending[entry] * wp.identity(n=3, dtype=wp.float64)
@@ -218,10 +218,8 @@ def assemble_blocks(
         triangle = code // 9
         gi = shape_gradient(garment.rest_inverse[triangle], (code // 3) % 3)
         gj = shape_gradient(garment.rest_inverse[triangle], code % 3)
-        tension = tensile_part(stress[world, triangle])
-        s = tension + kept[world] * (stress[world, triangle] - tension)
         total += garment.rest_area[triangle] * membrane_hessian(
-            deformation[world, triangle], s, garment.stiffness, gi, gj
+            deformation[world, triangle], held[world, triangle], tangent[world, triangle], gi, gj
         )
     blocks[world, entry] = wp.mat33(total)
 

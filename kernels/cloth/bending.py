@@ -2,11 +2,14 @@
 
 Over an inner edge the surface turns by k . x with k = (c03 + c04, c01 + c02, -c01 - c03, -c02 - c04) from the
 cotangents of the rest angles (Bergou et al. 2006). The curvature K of a triangle is the one whose quadratic surface
-turns as far over its three edges (the quadratic fit of Grinspun et al. 2006), and its energy that of a plate:
+turns as far over its three edges (the quadratic fit of Grinspun et al. 2006), and its energy that of an orthotropic
+plate in warp and weft:
 
-    W = b/2 A ((1 - v) |K|^2 + v |tr K|^2) = b/2 x^T Q x          [J], b in N m, v Poisson's ratio
+    W = A/2 (D11 |Kxx|^2 + 2 D12 Kxx . Kyy + D22 |Kyy|^2 + 2 D33 |Kxy|^2) = 1/2 x^T Q x          [J]
 
-A cylinder of curvature c holds b c^2 / 2 per area on any mesh and in any direction. (The sum over single hinges,
+with the stiffness D = (D11, D12, D22, D33) in N m. With b1 along the warp, b2 along the weft, Poisson's ratio v,
+D12 = v sqrt(b1 b2) and D33 = (1 - v) sqrt(b1 b2) a cylinder of curvature c, bent in a direction that is turned by t
+from the warp, holds c^2 / 2 (sqrt(b1) cos^2 t + sqrt(b2) sin^2 t)^2 per area on any mesh. (The sum over single hinges,
 3 / (A0 + A1) |k . x|^2, which is more common, holds 3 to 9 times as much, as mesh and direction have it.) Only on a
 grid whose diagonals alternate do neighbouring vertices give way in turn, and it is half as stiff.
 
@@ -28,7 +31,7 @@ def bending_gradient(
     columns: wp.array[wp.int32],
     coefficients: wp.array[wp.float64],
 ) -> wp.vec3d:
-    """Row ``vertex`` of b Q x [N]; half its dot product with x is the row's share of the energy."""
+    """Row ``vertex`` of Q x [N]; half its dot product with x is the row's share of the energy."""
     total = wp.vec3d()
     for k in range(row_start[vertex], row_start[vertex + 1]):
         total += coefficients[k] * positions[world, columns[k]]

@@ -3,9 +3,17 @@
 With the deformation gradient F = D_s D_m^-1 (3x2, material axes warp and weft) and the Green strain
 E = (F^T F - I) / 2, the energy of a triangle of rest area A is
 
-    W = A/2 (c11 Exx^2 + 2 c12 Exx Eyy + c22 Eyy^2 + c33 (2 Exy)^2)          [J]
+    W = A/2 (c11 Exx^2 + 2 c12 Exx Eyy + c22 Eyy^2 + c33 (2 Exy)^2)
+        + A/6 (g1 <Exx>^3 + g2 <Eyy>^3 + g3 <2 Exy>^3)                       [J]
 
-with the stiffness c = (c11, c12, c22, c33) in N/m. The energy of Xu et al. 2014 section 6 (S48).
+with the stiffness c = (c11, c12, c22, c33) in N/m. The first line is the energy of Xu et al. 2014 section 6 (S48).
+
+The second one stiffens it, so that fabric does not stretch like rubber: <E> is what a strain goes past its limit, of
+warp and weft in extension, of shear either way, and there the stiffness grows by g [N/m] per strain, as yarns come
+straight and lock. As Volino et al. 2009 have it ("A simple approach to nonlinear tensile stiffness for accurate cloth
+simulation"), each component of the strain has a stress-strain curve of its own; this one is a line that bends upwards
+as a parabola. W is twice continuously differentiable and convex in E, so that the tensile part of the stress leaves
+its Hessian positive semi-definite.
 """
 
 import warp as wp
@@ -45,9 +53,29 @@ def green_strain(f: mat32d) -> wp.vec3d:
     return wp.vec3d(half * (wp.dot(u, u) - one), half * (wp.dot(v, v) - one), wp.dot(u, v))
 
 
+@wp.struct
+class Membrane:
+    """Stiffness c [N/m], the strains (Exx, Eyy, 2 Exy) past which it grows, and its growth g per strain [N/m]."""
+
+    stiffness: wp.vec4d
+    limit: wp.vec3d
+    growth: wp.vec3d
+
+
 @wp.func
-def membrane_stress(strain: wp.vec3d, stiffness: wp.vec4d) -> wp.vec3d:
-    """Second Piola-Kirchhoff stress (Sxx, Syy, Sxy) [N/m]."""
+def excess(strain: wp.vec3d, limit: wp.vec3d) -> wp.vec3d:
+    """What each strain goes past its limit; that of shear keeps its sign."""
+    zero = wp.float64(0.0)
+    return wp.vec3d(
+        wp.max(strain[0] - limit[0], zero),
+        wp.max(strain[1] - limit[1], zero),
+        strain[2] - wp.clamp(strain[2], -limit[2], limit[2]),
+    )
+
+
+@wp.func
+def linear_stress(strain: wp.vec3d, stiffness: wp.vec4d) -> wp.vec3d:
+    """Stress (Sxx, Syy, Sxy) of the first line alone [N/m]."""
     return wp.vec3d(
         stiffness[0] * strain[0] + stiffness[1] * strain[1],
         stiffness[1] * strain[0] + stiffness[2] * strain[1],
@@ -56,9 +84,27 @@ def membrane_stress(strain: wp.vec3d, stiffness: wp.vec4d) -> wp.vec3d:
 
 
 @wp.func
-def membrane_energy(strain: wp.vec3d, stiffness: wp.vec4d) -> wp.float64:
+def membrane_energy(strain: wp.vec3d, material: Membrane) -> wp.float64:
     """Energy density [J/m^2]."""
-    return wp.float64(0.5) * wp.dot(strain, membrane_stress(strain, stiffness))
+    past = excess(strain, material.limit)
+    cubes = wp.vec3d(past[0] * past[0] * past[0], past[1] * past[1] * past[1], wp.abs(past[2] * past[2] * past[2]))
+    linear = wp.float64(0.5) * wp.dot(strain, linear_stress(strain, material.stiffness))
+    return linear + wp.dot(material.growth, cubes) / wp.float64(6.0)
+
+
+@wp.func
+def membrane_stress(strain: wp.vec3d, material: Membrane) -> wp.vec3d:
+    """Second Piola-Kirchhoff stress (Sxx, Syy, Sxy) [N/m], the derivative of the energy density by the strain."""
+    past = excess(strain, material.limit)
+    squares = wp.vec3d(past[0] * past[0], past[1] * past[1], past[2] * wp.abs(past[2]))
+    return linear_stress(strain, material.stiffness) + wp.float64(0.5) * wp.cw_mul(material.growth, squares)
+
+
+@wp.func
+def membrane_tangent(strain: wp.vec3d, material: Membrane) -> wp.vec4d:
+    """(c11, c12, c22, c33) at this strain [N/m], the derivative of the stress by the strain."""
+    more = wp.cw_mul(material.growth, excess(strain, material.limit))
+    return material.stiffness + wp.vec4d(more[0], wp.float64(0.0), more[1], wp.abs(more[2]))
 
 
 @wp.func
@@ -91,10 +137,11 @@ def tensile_part(stress: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
-def membrane_hessian(f: mat32d, stress: wp.vec3d, stiffness: wp.vec4d, gi: wp.vec2d, gj: wp.vec2d) -> wp.mat33d:
+def membrane_hessian(f: mat32d, stress: wp.vec3d, tangent: wp.vec4d, gi: wp.vec2d, gj: wp.vec2d) -> wp.mat33d:
     """Second derivative of the energy density by corners i and j [N/m^3].
 
-    The exact Hessian for ``stress = membrane_stress(...)``, a positive semi-definite one for its tensile part.
+    Takes ``tangent = membrane_tangent(...)``. The exact Hessian for ``stress = membrane_stress(...)``, a positive
+    semi-definite one for its tensile part.
     """
     u = wp.vec3d(f[0, 0], f[1, 0], f[2, 0])
     v = wp.vec3d(f[0, 1], f[1, 1], f[2, 1])
@@ -107,34 +154,8 @@ def membrane_hessian(f: mat32d, stress: wp.vec3d, stiffness: wp.vec4d, gi: wp.ve
     sj = u * gj[1] + v * gj[0]
     geometric = gi[0] * (stress[0] * gj[0] + stress[2] * gj[1]) + gi[1] * (stress[2] * gj[0] + stress[1] * gj[1])
     return (
-        wp.outer(xi, stiffness[0] * xj + stiffness[1] * yj)
-        + wp.outer(yi, stiffness[1] * xj + stiffness[2] * yj)
-        + wp.outer(si, stiffness[3] * sj)
+        wp.outer(xi, tangent[0] * xj + tangent[1] * yj)
+        + wp.outer(yi, tangent[1] * xj + tangent[2] * yj)
+        + wp.outer(si, tangent[3] * sj)
         + geometric * wp.identity(n=3, dtype=wp.float64)
     )
-
-
-@wp.kernel
-def deform_triangles(
-    positions: wp.array2d[wp.vec3d],
-    faces: wp.array2d[wp.int32],
-    rest_inverse: wp.array[wp.mat22d],
-    rest_area: wp.array[wp.float64],
-    stiffness: wp.vec4d,
-    # outputs
-    deformation: wp.array2d[mat32d],
-    stress: wp.array2d[wp.vec3d],
-    energy: wp.array2d[wp.float64],
-):
-    """Deformation gradient, stress [N/m] and energy [J] of every triangle."""
-    world, triangle = wp.tid()
-    f = deformation_gradient(
-        positions[world, faces[triangle, 0]],
-        positions[world, faces[triangle, 1]],
-        positions[world, faces[triangle, 2]],
-        rest_inverse[triangle],
-    )
-    strain = green_strain(f)
-    deformation[world, triangle] = f
-    stress[world, triangle] = membrane_stress(strain, stiffness)
-    energy[world, triangle] = rest_area[triangle] * membrane_energy(strain, stiffness)

@@ -11,6 +11,7 @@ import pytest
 from dolls import doll
 from figures import build_figure, mesh_object
 from small_character import build_arm, empty_scene
+from wrinkle_synthesis.wrinkle_addon.fabrics import FABRICS
 
 FIGURE = doll(31, 12)
 
@@ -57,6 +58,16 @@ def test_setup_finds_the_joints_that_move_the_garment(wrinkle, figure: Path, tmp
     settings = bpy.data.objects["shirt.wrinkles"].wrinkles
     assert (settings.ease_girth, settings.ease_length, settings.plan, settings.budget) == (2.0, 3.0, "BUDGET", 36)
     assert settings.database == "//shirt.wrinkles"
+
+
+def test_setup_takes_a_fabric_by_its_name(wrinkle, figure: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.blend"
+    arguments = ("--garment", "shirt", "--body", "body", "--subdivide", 0, "--out", out)
+    outcome = wrinkle("setup", figure, *arguments, "--fabric", "denim")
+    assert outcome.code == 0, outcome.errors
+    assert garment(out).wrinkles.bake_settings().fabric == FABRICS["denim"]
+    complaint = wrinkle("setup", figure, *arguments, "--fabric", "felt").complaint
+    assert complaint.startswith("There is no fabric 'felt'")
 
 
 def loose_vertex() -> None:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +124,7 @@ def test_the_key_changes_with_everything_that_a_sample_depends_on(character: Dol
     job = character.job(plan)
     moved = Garment(garment.name, garment.positions + [0, 0, 1e-4], garment.faces, garment.weights, garment.pins)
     pinned = Garment(garment.name, garment.positions, garment.faces, garment.weights, np.ones_like(garment.pins))
+    biased = replace(garment, warp=np.tile([0.6, 0.8, 0.0], (len(garment.faces), 1)))
     body = Body(character.body.positions * 1.001, character.body.faces, character.body.weights)
     others = [
         character.job(SamplePlan((grid_of(character.joint("elbow_L"), [-20, 0, 20]),))),
@@ -130,6 +132,7 @@ def test_the_key_changes_with_everything_that_a_sample_depends_on(character: Dol
         character.job(plan, settle_tolerance=0.2),
         BakeJob(job.rig, moved, job.body, plan, job.settings),
         BakeJob(job.rig, pinned, job.body, plan, job.settings),
+        BakeJob(job.rig, biased, job.body, plan, job.settings),
         BakeJob(job.rig, garment, body, plan, job.settings),
     ]
     assert len({job.key, *(other.key for other in others)}) == len(others) + 1

@@ -1,5 +1,7 @@
 """What binds the garment to the body and the rig: weights, regions, symmetry."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from dolls import Doll, doll, tube_along
@@ -14,6 +16,7 @@ from wrinkle_synthesis.wrinkle_addon.garment import (
     neighbour_mean,
     skin_garment,
     vertex_normals,
+    warp_directions,
 )
 from wrinkle_synthesis.wrinkle_addon.rig import pose_of_angles
 from wrinkle_synthesis.wrinkle_addon.symmetry import find_mirror
@@ -115,13 +118,16 @@ def test_a_symmetric_character_is_its_own_mirror_image(character: Doll):
         assert np.abs(mirror.reflect(mine)[::-1].mean(0) - theirs.mean(0)).max() < 1e-3
 
 
-@pytest.mark.parametrize("part", ["garment", "body", "rig"])
+@pytest.mark.parametrize("part", ["garment", "fabric", "body", "rig"])
 def test_a_character_that_is_not_symmetric_is_seen(character: Doll, part: str):
     garment, body, rig = character.garment, character.body, character.rig
     if part == "garment":
         positions = garment.positions.copy()
         positions[10] += 0.001
         garment = Garment(garment.name, positions, garment.faces, garment.weights, garment.pins)
+    elif part == "fabric":
+        assert find_mirror(rig, character.joints, cut_along(garment, [1.0, 0.0, 0.0]), body) is not None
+        garment = cut_along(garment, [0.8, 0.6, 0.0])
     elif part == "body":
         positions = body.positions.copy()
         positions[positions[:, 0] > 0.3] += [0.0, 0.01, 0.0]
@@ -131,6 +137,36 @@ def test_a_character_that_is_not_symmetric_is_seen(character: Doll, part: str):
         rest[rig.index["forearm_L"], :3, 3] += 0.01
         rig = type(rig)(rig.names, rig.parents, rest, rig.lengths, rig.gravity)
     assert find_mirror(rig, character.joints, garment, body) is None
+
+
+def cut_along(garment: Garment, warp: list[float]) -> Garment:
+    return replace(garment, warp=np.tile(warp, (len(garment.faces), 1)))
+
+
+def test_the_warp_lies_where_v_grows():
+    rng = np.random.default_rng(3)
+    faces = np.array([[0, 1, 2], [2, 1, 3]], np.int32)
+    flat = rng.normal(size=(4, 2))
+    u, v = np.array([0.6, 0.0, 0.8]), np.array([0.0, -1.0, 0.0])
+    positions = flat[:, :1] * u + 3.0 * flat[:, 1:] * v
+    found = warp_directions(positions, faces, flat[faces])
+    assert found is not None
+    assert np.abs(found - v).max() < 1e-12
+    # A mirrored map turns the pattern over, but not its warp.
+    mirrored = warp_directions(positions, faces, flat[faces] * [-1.0, 1.0])
+    assert mirrored is not None
+    assert np.abs(mirrored - v).max() < 1e-12
+
+
+def test_triangles_without_texture_coordinates_have_no_warp():
+    rng = np.random.default_rng(4)
+    positions, faces = rng.normal(size=(4, 3)), np.array([[0, 1, 2], [2, 1, 3]], np.int32)
+    uvs = rng.normal(size=(2, 3, 2))
+    uvs[1] = [0.5, 0.5]
+    found = warp_directions(positions, faces, uvs)
+    assert found is not None
+    assert np.linalg.norm(found, axis=1) == pytest.approx([1.0, 0.0])
+    assert warp_directions(positions, faces, 0.0 * uvs) is None
 
 
 def test_the_mean_over_neighbours_is_what_its_name_says():

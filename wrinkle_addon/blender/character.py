@@ -13,7 +13,7 @@ from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ..cloth_model import FloatArray, IntArray
-from ..garment import Body, Garment, SkinWeights
+from ..garment import Body, Garment, SkinWeights, warp_directions
 from ..rig import Pose, Rig
 from .armature import local_matrices, read_rig, rig_scale
 
@@ -35,6 +35,18 @@ def read_mesh(mesh: bpy.types.Mesh) -> MeshArrays:
     faces = np.empty(3 * len(mesh.loop_triangles), np.int32)
     mesh.loop_triangles.foreach_get("vertices", faces)
     return positions.reshape(-1, 3).astype(np.float64), faces.reshape(-1, 3)
+
+
+def read_uvs(mesh: bpy.types.Mesh) -> FloatArray | None:
+    """Active texture coordinates of the corners of :func:`read_mesh`'s triangles, shape [triangle_count, 3, 2]."""
+    if mesh.uv_layers.active is None:
+        return None
+    uvs = np.empty(2 * len(mesh.loops), np.float32)
+    mesh.uv_layers.active.data.foreach_get("uv", uvs)
+    mesh.calc_loop_triangles()
+    corners = np.empty(3 * len(mesh.loop_triangles), np.int32)
+    mesh.loop_triangles.foreach_get("loops", corners)
+    return uvs.reshape(-1, 2).astype(np.float64)[corners.reshape(-1, 3)]
 
 
 def read_weights(ob: bpy.types.Object, mesh: bpy.types.Mesh, rig: Rig) -> FloatArray:
@@ -253,11 +265,14 @@ def sampling_stage(armature: bpy.types.Object, body: bpy.types.Object) -> Iterat
         stage.close()
 
 
-def read_garment(ob: bpy.types.Object, rig: Rig, to_rig: FloatArray, pin_group: str = "") -> Garment:
+def read_garment(
+    ob: bpy.types.Object, rig: Rig, to_rig: FloatArray, pin_group: str = "", *, directed: bool = False
+) -> Garment:
     """A garment object that was set up: its modelled shape and the weights it was given.
 
     Args:
         to_rig: Matrix from world coordinates to rig space, shape [4, 4].
+        directed: Whether its fabric has a direction, which is then read from its UV map.
 
     Raises:
         ValueError: If vertices carry no weights, or the pin group is missing; one sentence.
@@ -270,7 +285,9 @@ def read_garment(ob: bpy.types.Object, rig: Rig, to_rig: FloatArray, pin_group: 
             "set it up again."
         )
     in_rig = apply(to_rig @ np.array(ob.matrix_world, np.float64), positions)
-    return Garment(ob.name, in_rig, faces, SkinWeights.from_dense(dense), read_group(ob, pin_group))
+    uvs = read_uvs(ob.data) if directed else None
+    warp = None if uvs is None else warp_directions(in_rig, faces, uvs)
+    return Garment(ob.name, in_rig, faces, SkinWeights.from_dense(dense), read_group(ob, pin_group), warp)
 
 
 def _is_alive(made: bpy.types.ID) -> bool:

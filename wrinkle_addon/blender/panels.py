@@ -10,7 +10,7 @@ import numpy as np
 
 from . import playback
 from .bake_process import running
-from .properties import GarmentSettings, JointSettings, active_garment
+from .properties import OWN_FABRIC, GarmentSettings, JointSettings, active_garment
 
 
 class WrinklePanel:
@@ -154,7 +154,8 @@ class WRINKLE_PT_fabric(WrinklePanel, bpy.types.Panel):
         assert garment is not None
         column = self.layout.column()
         column.use_property_split, column.use_property_decorate = True, False
-        for name in ("ease_girth", "ease_length", "stretch", "bending", "density", "friction"):
+        own = ("stretch", "bending", "density", "friction") if garment.wrinkles.fabric == OWN_FABRIC else ()
+        for name in ("ease_girth", "ease_length", "fabric", *own):
             column.prop(garment.wrinkles, name)
         column.prop_search(garment.wrinkles, "pin_group", garment, "vertex_groups")
 

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from ..bake import BakeSettings
-from ..cloth_model import Fabric
+from ..fabrics import FABRICS, Fabric, find_fabric
 from ..joint_wrinkles import Formulation
 from ..rig import Joint
 from . import playback
@@ -22,6 +22,9 @@ PLANS = (
     ("PAPER", "Full", "Hinges every 15 degrees, balls every 30: some 300 samples for an upper body"),
     ("BUDGET", "Budget", "The finest plan that keeps to a number of simulated samples"),
 )
+
+
+OWN_FABRIC = "OWN"
 
 
 def _played_anew(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
@@ -173,6 +176,15 @@ class GarmentSettings(bpy.types.PropertyGroup):
         subtype="PERCENTAGE",
         description="Extra cloth along limbs",
     )
+    fabric: bpy.props.EnumProperty(
+        name="Fabric",
+        items=[
+            (OWN_FABRIC, "Own", "Of the stiffness and density below"),
+            *((name, name.capitalize(), "Measured, or published with its measurements") for name in FABRICS),
+        ],
+        default=OWN_FABRIC,
+        description="What the garment is made of",
+    )
     stretch: bpy.props.FloatProperty(
         name="Stretch", default=Fabric().stretch, min=1.0, description="Stiffness against stretching, N/m"
     )
@@ -189,14 +201,20 @@ class GarmentSettings(bpy.types.PropertyGroup):
 
     def bake_settings(self) -> BakeSettings:
         """How samples of this garment are simulated."""
+        return BakeSettings(
+            fabric=self._chosen_fabric(), ease=(_decimal(self.ease_girth) / 100, _decimal(self.ease_length) / 100)
+        )
+
+    def _chosen_fabric(self) -> Fabric:
+        if self.fabric != OWN_FABRIC:
+            return find_fabric(self.fabric)
         # Properties are single precision; the decimal that the artist typed is what goes into the database's key.
-        fabric = Fabric(
+        return Fabric(
             stretch=_decimal(self.stretch),
             bending=_decimal(self.bending),
             density=_decimal(self.density),
             friction=_decimal(self.friction),
         )
-        return BakeSettings(fabric=fabric, ease=(_decimal(self.ease_girth) / 100, _decimal(self.ease_length) / 100))
 
     def strengths(self) -> dict[str, float]:
         """Strength of every joint, the garment's own included."""

@@ -248,7 +248,9 @@ def stage_job(garment: bpy.types.Object, stage: SamplingStage) -> BakeJob:
     """
     settings = garment.wrinkles
     rig = stage.rig
-    read = read_garment(garment, rig, rig_from_world(settings.armature), settings.pin_group)
+    baked = settings.bake_settings()
+    to_rig = rig_from_world(settings.armature)
+    read = read_garment(garment, rig, to_rig, settings.pin_group, directed=baked.fabric.directed)
     joints = []
     for stored in settings.joints:
         joint = stored.joint()
@@ -263,7 +265,7 @@ def stage_job(garment: bpy.types.Object, stage: SamplingStage) -> BakeJob:
     if not joints:
         raise ValueError(f"No joint of the garment '{garment.name}' is chosen for sampling; add or choose one.")
     plan = make_plan(settings, rig, joints, read, stage.body)
-    return BakeJob(rig, read, stage.body, plan, settings.bake_settings())
+    return BakeJob(rig, read, stage.body, plan, baked)
 
 
 def make_plan(settings: Any, rig: Rig, joints: list[Joint], garment, body: Body) -> SamplePlan:

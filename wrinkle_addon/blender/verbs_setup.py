@@ -14,6 +14,7 @@ import numpy as np
 
 from ..bake import BakeJob
 from ..database import MANIFEST, WrinkleDatabase
+from ..fabrics import find_fabric
 from ..joints import describe_joint, joints_to_json
 from .character import SamplingStage, sampling_stage
 from .files import check_output, save_character
@@ -38,6 +39,9 @@ def setup(options: argparse.Namespace) -> Mapping[str, Any]:
     settings = result.garment.wrinkles
     if options.ease:
         settings.ease_girth, settings.ease_length = _pair(options.ease)
+    if options.fabric:
+        find_fabric(options.fabric)
+        settings.fabric = options.fabric
     if options.pins is not None:
         settings.pin_group = options.pins
     if options.joints:

@@ -1,0 +1,195 @@
+"""Host side of the garment's elasticity in every world: its membrane, and what its fabric has besides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+import numpy as np
+import warp as wp
+
+from ..kernels.cloth import assembly, hinges, membrane, springs, triangles
+from .cloth_model import ClothModel, FloatArray
+from .elastic_elements import Gathering, HingeRest, SpringRest
+from .fabrics import Fabric
+
+
+def membrane_of(fabric: Fabric) -> membrane.Membrane:
+    """A fabric's membrane as kernels take it; that of a net of springs has no stiffness."""
+    material = membrane.Membrane()
+    if fabric.material != "springs":
+        material.stiffness = wp.vec4d(*fabric.stiffness)
+        material.limit = wp.vec3d(*fabric.strain_limits)
+        material.growth = wp.vec3d(*fabric.growth)
+    return material
+
+
+class ElasticElements(Protocol):
+    """Elements of a few vertices each that add to energy, gradient and Hessian."""
+
+    def deform(self, positions: wp.array) -> None:
+        """Find the elements' state and energy at these positions [m]."""
+        ...
+
+    def energy(self) -> FloatArray:
+        """Energy as it was found last [J], shape [world_count]."""
+        ...
+
+    def add_gradient(self, gradient: wp.array) -> None:
+        """Add the derivative of the energy by every vertex [N]."""
+        ...
+
+    def add_blocks(self, positions: wp.array, kept: wp.array, blocks: wp.array) -> None:
+        """Add the Hessian at these positions [N/m], with each world's share ``kept`` of what makes it indefinite."""
+        ...
+
+
+class Elasticity:
+    """How the fabric resists being deformed.
+
+    Attributes:
+        deformation: Deformation gradient of every triangle, shape [world_count, triangle_count].
+        stress: Its stress [N/m].
+        tangent: Its stiffness at that strain [N/m].
+        held: Its stress as far as the Hessian takes it into account [N/m].
+        elements: Hinges or springs, if the fabric has any.
+    """
+
+    def __init__(self, model: ClothModel, garment: assembly.Garment, world_count: int):
+        self._garment = garment
+        self._device = garment.mass.device
+        shape = (world_count, model.triangle_count)
+
+        def array(dtype: Any) -> wp.array:
+            return wp.zeros(shape, dtype=dtype, device=self._device)
+
+        self.deformation, self.stress = array(membrane.mat32d), array(wp.vec3d)
+        self.tangent, self.held = array(wp.vec4d), array(wp.vec3d)
+        self._triangle_energy = array(wp.float64)
+        self._damping = triangles.Damping()
+        self._damping.viscosity = wp.vec4d(*model.fabric.viscosity)
+        self._damps = model.fabric.damping > 0.0
+        if self._damps:
+            self._damping.before = array(wp.vec3d)
+        self.elements: list[ElasticElements] = []
+        if model.hinges is not None:
+            self.elements.append(HingeBending(*model.hinges, world_count, self._device))
+        if model.springs is not None:
+            self.elements.append(SpringNet(*model.springs, world_count, self._device))
+
+    def deform(self, positions: wp.array) -> None:
+        """Find strain, stress and energy at these positions [m]."""
+        g = self._garment
+        self._launch(
+            triangles.deform_triangles,
+            [positions, g.faces, g.rest_inverse, g.rest_area, g.membrane, self._damping],
+            [self.deformation, self.stress, self._triangle_energy],
+        )
+        for elements in self.elements:
+            elements.deform(positions)
+
+    @contextmanager
+    def damped(self, positions: wp.array, dt: float) -> Iterator[None]:
+        """Damp what goes on here, as a time step of ``dt`` [s] from these positions [m]."""
+        if not self._damps:
+            yield
+            return
+        self.deform(positions)
+        self._launch(triangles.strain_triangles, [self.deformation], [self._damping.before])
+        self._damping.rate = 1.0 / dt
+        try:
+            yield
+        finally:
+            self._damping.rate = 0.0
+
+    def energy(self) -> FloatArray:
+        """Energy as it was found last [J], shape [world_count]; within a step what it dissipates is part of it."""
+        total = self._triangle_energy.numpy().sum(1)
+        for elements in self.elements:
+            total = total + elements.energy()
+        return total
+
+    def linearise(self, kept: wp.array) -> None:
+        """Find tangent stiffness and held stress where the garment was deformed last.
+
+        ``kept`` is the share of its compressive stress that each world takes into account, shape [world_count].
+        """
+        self._launch(
+            triangles.linearise_triangles,
+            [self.deformation, self.stress, self._garment.membrane, self._damping, kept],
+            [self.tangent, self.held],
+        )
+
+    def _launch(self, kernel: Any, inputs: list, outputs: list) -> None:
+        wp.launch(kernel, dim=self.stress.shape, inputs=inputs, outputs=outputs, device=self._device)
+
+
+class _Gathered:
+    """What hinges and springs share: the lists by vertex and by block, and their energy."""
+
+    def __init__(self, count: int, lists: Gathering, world_count: int, device: wp.Device):
+        self._device = device
+        self._shape = (world_count, count)
+        self._by_vertex = self._upload(lists.corner_start, wp.int32), self._upload(lists.corners, wp.int32)
+        self._by_block = self._upload(lists.block_start, wp.int32), self._upload(lists.blocks, wp.int32)
+        self._energy = wp.zeros(self._shape, dtype=wp.float64, device=device)
+
+    def energy(self) -> FloatArray:
+        return self._energy.numpy().sum(1)
+
+    def _upload(self, values: np.ndarray, dtype: Any) -> wp.array:
+        return wp.array(values, dtype=dtype, device=self._device)
+
+    def _launch(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._device)
+
+
+class HingeBending(_Gathered):
+    """The nonlinear bending of :mod:`..kernels.cloth.hinges`."""
+
+    def __init__(self, rest: HingeRest, lists: Gathering, world_count: int, device: wp.Device):
+        super().__init__(len(rest.vertices), lists, world_count, device)
+        self._hinges = hinges.Hinges()
+        self._hinges.vertices = self._upload(rest.vertices, wp.int32)
+        self._hinges.stiffness = self._upload(rest.stiffness, wp.float64)
+        self._hinges.rest_angle = self._upload(rest.rest_angle, wp.float64)
+        self._bend = wp.zeros(self._shape, dtype=wp.float64, device=device)
+        self._slope = wp.zeros((*self._shape, 4), dtype=wp.vec3d, device=device)
+
+    def deform(self, positions: wp.array) -> None:
+        outputs = [self._bend, self._slope, self._energy]
+        self._launch(hinges.bend_hinges, self._shape, [positions, self._hinges], outputs)
+
+    def add_gradient(self, gradient: wp.array) -> None:
+        inputs = [self._hinges, self._bend, self._slope, *self._by_vertex, gradient]
+        self._launch(hinges.add_hinge_gradient, gradient.shape, inputs, [])
+
+    def add_blocks(self, positions: wp.array, kept: wp.array, blocks: wp.array) -> None:
+        inputs = [positions, self._hinges, self._bend, self._slope, kept, *self._by_block, blocks]
+        self._launch(hinges.add_hinge_blocks, blocks.shape, inputs, [])
+
+
+class SpringNet(_Gathered):
+    """The springs of :mod:`..kernels.cloth.springs`."""
+
+    def __init__(self, rest: SpringRest, lists: Gathering, world_count: int, device: wp.Device):
+        super().__init__(len(rest.vertices), lists, world_count, device)
+        self._springs = springs.Springs()
+        self._springs.vertices = self._upload(rest.vertices, wp.int32)
+        for name in ("rest_length", "stiffness", "beam", "turn"):
+            setattr(self._springs, name, self._upload(getattr(rest, name), wp.float64))
+        self._direction = wp.zeros(self._shape, dtype=wp.vec3d, device=device)
+        self._state = wp.zeros(self._shape, dtype=wp.vec3d, device=device)
+
+    def deform(self, positions: wp.array) -> None:
+        outputs = [self._direction, self._state, self._energy]
+        self._launch(springs.stretch_springs, self._shape, [positions, self._springs], outputs)
+
+    def add_gradient(self, gradient: wp.array) -> None:
+        inputs = [self._direction, self._state, *self._by_vertex, gradient]
+        self._launch(springs.add_spring_gradient, gradient.shape, inputs, [])
+
+    def add_blocks(self, positions: wp.array, kept: wp.array, blocks: wp.array) -> None:
+        inputs = [self._direction, self._state, kept, *self._by_block, blocks]
+        self._launch(springs.add_spring_blocks, blocks.shape, inputs, [])
