@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from wrinkle_synthesis.wrinkle_addon.cloth import ClothSimulation
+from wrinkle_synthesis.wrinkle_addon.cloth import STANDARD_GRAVITY, ClothSimulation
 from wrinkle_synthesis.wrinkle_addon.cloth_contact import ContactSettings
 from wrinkle_synthesis.wrinkle_addon.cloth_model import ClothModel, Fabric, build_cloth_model
 
@@ -138,3 +138,23 @@ def free_cloth(model: ClothModel, **settings: object) -> ClothSimulation:
     body, faces = floor(-100.0)
     settings = {"contact_settings": NO_TOUCH} | settings
     return ClothSimulation(model, faces, body, **settings)
+
+
+def patch_on_floor(
+    device: str, friction: float = 0.3, static: float | None = None, **settings: object
+) -> tuple[ClothSimulation, Array, Array]:
+    """A patch that lies on a level floor at rest; returns the simulation, the floor and where the patch lies [m]."""
+    rest, faces = sheet(8, 8, 0.1, 0.1)
+    rest[:, :2] -= 0.05
+    body, body_faces = floor(0.0, 4.0)
+    model = build_cloth_model(rest, faces, Fabric(friction=friction, static_friction=static))
+    simulation = ClothSimulation(model, body_faces, body, contact_settings=NO_TOUCH, device=device, **settings)
+    simulation.start(raised(rest, 0.0025))
+    assert simulation.settle(1e-3).converged
+    return simulation, body, simulation.positions[0]
+
+
+def inclined(share: float, friction: float = 0.3) -> tuple[Array, float]:
+    """Gravity as on a slope whose tangent is this share of the coefficient of friction, and the slope's angle."""
+    angle = float(np.arctan(share * friction))
+    return STANDARD_GRAVITY * np.array([np.sin(angle), 0.0, -np.cos(angle)]), angle

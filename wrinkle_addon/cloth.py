@@ -23,6 +23,7 @@ from .cloth_model import ClothModel, FloatArray, IntArray
 from .elasticity import Elasticity, membrane_of
 from .linear_solver import BlockSystem
 from .surface import BodyVolume, SurfaceMeasures
+from .time_integration import EarlierStep, step_inertia
 from .untangling import untangle
 
 if TYPE_CHECKING:
@@ -39,9 +40,10 @@ EXPELLED_DEPTH = 0.001
 
 @dataclass(frozen=True)
 class SolverSettings:
-    """Where iterations stop.
+    """How time passes and where iterations stop.
 
     Attributes:
+        order: Order of the time steps: 1 for backward Euler, which damps, or 2 for BDF2, which follows swift motion.
         linear_tolerance: Share of its first residual at which a linear system counts as solved (inexact Newton).
         linear_iterations: Bound on the iterations of one linear system.
         newton_iterations: Linearisations of one step.
@@ -50,6 +52,7 @@ class SolverSettings:
         longest_step: How far one linearisation moves a vertex at most [m].
     """
 
+    order: int = 1
     linear_tolerance: float = 0.05
     linear_iterations: int = 150
     newton_iterations: int = 2
@@ -57,18 +60,24 @@ class SolverSettings:
     line_search_doublings: int = 3
     longest_step: float = 0.02
 
+    def __post_init__(self) -> None:
+        if self.order not in (1, 2):
+            raise ValueError(f"Time steps are of order 1 (backward Euler) or 2 (BDF2), not {self.order}.")
+
 
 @dataclass(frozen=True, eq=False)
 class ClothState:
     """What a simulation goes on from: positions [m], velocities [m/s], and the friction anchors on the body.
 
     Shapes [world_count, vertex_count, 3] and [world_count, vertex_count]; anchor_faces holds -1 where nothing sticks.
+    ``earlier`` is what steps of second order look back to, None when the next one is a first.
     """
 
     positions: FloatArray
     velocities: FloatArray
     anchor_faces: IntArray
     anchor_weights: NDArray[np.float32]
+    earlier: EarlierStep | None = None
 
 
 @dataclass(frozen=True)
@@ -164,9 +173,8 @@ class ClothSimulation:
         Shapes [vertex_count, 3], or with a leading [world_count].
         """
         self._positions.assign(self._per_world(positions, "positions"))
-        if velocities is None:
-            self._velocities.zero_()
-        else:
+        self._rest()
+        if velocities is not None:
             self._velocities.assign(self._per_world(velocities, "velocities"))
         self._contact.forget()
 
@@ -176,6 +184,7 @@ class ClothSimulation:
             self._velocities.numpy().copy(),
             self._contact.anchor_face.numpy().copy(),
             self._contact.anchor_weights.numpy().copy(),
+            self._earlier,
         )
 
     def restore(self, state: ClothState) -> None:
@@ -183,6 +192,7 @@ class ClothSimulation:
         self.start(state.positions, state.velocities)
         self._contact.anchor_face.assign(state.anchor_faces)
         self._contact.anchor_weights.assign(state.anchor_weights)
+        self._earlier = state.earlier
 
     def hold(self) -> None:
         """Let static friction hold the garment where it lies, as far as it can.
@@ -222,7 +232,9 @@ class ClothSimulation:
     # Motion
 
     def step(self, body_positions: ArrayLike, dt: float, *, guess: ArrayLike | None = None) -> None:
-        """Advance by ``dt`` [s] with backward Euler while the body moves to ``body_positions`` [m].
+        """Advance by ``dt`` [s] while the body moves to ``body_positions`` [m].
+
+        The first step from rest, or from :meth:`start`, is one of backward Euler in any case.
 
         Args:
             guess: Where to begin the search for the new positions [m], such as the garment carried along by the
@@ -230,13 +242,15 @@ class ClothSimulation:
         """
         if dt <= 0.0:
             raise ValueError(f"A time step must be longer than 0 s, not {dt} s.")
-        before = self.positions
-        target = before + dt * self._velocities.numpy()
+        now = EarlierStep(self.positions, self._velocities.numpy().copy(), dt)
+        inertia = step_inertia(now.positions, now.velocities, dt, self._earlier)
         self.move_body(body_positions)
         with self._elasticity.damped(self._positions, dt):
-            self._positions.assign(target if guess is None else self._per_world(guess, "guess"))
-            self._minimise(target, dt)
-        self._velocities.assign((self._positions.numpy() - before) / dt)
+            self._positions.assign(inertia.target if guess is None else self._per_world(guess, "guess"))
+            self._minimise(inertia.target, inertia.span)
+        self._velocities.assign(inertia.velocities(self._positions.numpy()))
+        if self.solver_settings.order == 2:
+            self._earlier = now
 
     def follow(self, body_positions: ArrayLike, carried: ArrayLike, dt: float = 1.0 / 30.0) -> None:
         """Advance without inertia while the body moves: the garment is carried along and then relaxes.
@@ -252,7 +266,7 @@ class ClothSimulation:
         self._positions.assign(self._per_world(carried, "carried"))
         self._minimise(self.positions, dt)
         self.untangle()
-        self._velocities.zero_()
+        self._rest()
 
     def untangle(self) -> int:
         """Draw layers of the garment apart that have passed through each other, but not where the body does, too.
@@ -293,7 +307,7 @@ class ClothSimulation:
         moving = np.ones(self.world_count, bool)
         residual = np.full(self.world_count, np.inf)
         iteration = linear_total = 0
-        self._velocities.zero_()
+        self._rest()
         for iteration in range(max_iterations + 1):
             self._contact.find(self._positions, self._moving)
             self._set_inertia(self.positions, np.zeros(self.world_count))
@@ -354,6 +368,11 @@ class ClothSimulation:
         return self._contact.clearance(self._positions)
 
     # Inner workings
+
+    def _rest(self) -> None:
+        """Forget all motion."""
+        self._velocities.zero_()
+        self._earlier = None
 
     def _minimise(self, target: FloatArray, dt: float) -> None:
         """Newton's method on the incremental potential of one step."""
@@ -554,6 +573,7 @@ class ClothSimulation:
 
         self._positions = array(self.shape, wp.vec3d)
         self._velocities = array(self.shape, wp.vec3d)
+        self._earlier: EarlierStep | None = None
         self._inertia_target = array(self.shape, wp.vec3d)
         self._pin_target = array(self.shape, wp.vec3d)
         self._gradient = array(self.shape, wp.vec3d)
