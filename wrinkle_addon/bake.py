@@ -71,7 +71,7 @@ class BakeSettings:
     ease: tuple[float, float] = (0.0, 0.0)
     turn_step: float = float(np.radians(3.0))
     rest_tolerance: float = 0.05
-    settle_tolerance: float = 0.1
+    settle_tolerance: float = 0.3
     settle_iterations: int = 80
     trapped: float = 0.005
     pin_stiffness: float = 20.0

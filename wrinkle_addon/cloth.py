@@ -8,7 +8,7 @@ Arrays in and out are NumPy. With several worlds they have a leading axis [world
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -48,7 +48,6 @@ class SolverSettings:
         linear_iterations: Bound on the iterations of one linear system.
         newton_iterations: Linearisations of one step.
         line_search_halvings: How often a step that does not lower the energy is halved.
-        line_search_doublings: How often one that lowers it is doubled on the way to equilibrium.
         longest_step: How far one linearisation moves a vertex at most [m].
     """
 
@@ -57,7 +56,6 @@ class SolverSettings:
     linear_iterations: int = 150
     newton_iterations: int = 2
     line_search_halvings: int = 6
-    line_search_doublings: int = 3
     longest_step: float = 0.02
 
     def __post_init__(self) -> None:
@@ -321,9 +319,9 @@ class ClothSimulation:
             self._inverse_dt2.assign(1.0 / span**2)
             massless = span >= MASSLESS_SPAN
             self._kept.assign(np.where(massless, kept, 0.0))
-            iterations, length = self._newton_step(lengthen=True)
+            iterations, length = self._newton_step()
             linear_total += iterations
-            full = length >= 1.0
+            full = length == 1.0
             kept = np.where(full, np.where(massless, np.minimum(kept + 0.2, 1.0), kept), 0.5 * kept)
             span = np.where(full, np.minimum(2.0 * span, 1.0e3), np.maximum(0.5 * span, 1.0 / 240.0))
         self._moving.fill_(1)
@@ -385,12 +383,8 @@ class ClothSimulation:
         # Only now: a search that overshoots and comes back must not drag the anchors along.
         self._contact.follow(self._positions, self._moving)
 
-    def _newton_step(self, *, lengthen: bool = False) -> tuple[int, FloatArray]:
+    def _newton_step(self) -> tuple[int, FloatArray]:
         """One linearisation at the frozen contact: conjugate gradients, then the line search.
-
-        Args:
-            lengthen: Whether steps may go further than their linearisation says, as long as the energy falls. A fold
-                that grows is softer than the matrix without compressive stress knows.
 
         Returns the iterations of the former and the share of its step that the latter left each world.
         """
@@ -404,48 +398,20 @@ class ClothSimulation:
         start = self.positions
         step = self._system.solution.numpy().astype(np.float64)
         # A nearly singular Hessian asks for steps that its own linearisation does not bear.
-        size = np.linalg.norm(step, axis=2).max(1)
-        longest = settings.longest_step / np.maximum(size, 1e-12)
-
-        def energy(length: FloatArray) -> FloatArray:
+        longest = np.linalg.norm(step, axis=2).max(1)
+        length = np.minimum(1.0, settings.longest_step / np.maximum(longest, 1e-12))
+        worse = np.zeros(self.world_count, bool)
+        for _ in range(settings.line_search_halvings + 1):
             self._positions.assign(start + length[:, None, None] * step)
-            return self._evaluate_energy()
-
-        length, after = self._shorten(energy, np.minimum(1.0, longest), before)
-        if lengthen:
-            length = self._lengthen(energy, length, longest, after)
-        return iterations, np.where(size > 0.0, length, 0.0)
-
-    def _shorten(
-        self, energy: Callable[[FloatArray], FloatArray], length: FloatArray, before: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Halve each world's step until its energy has not risen; its length, 0 where none will do, and the energy."""
-        after, worse = before, np.zeros(self.world_count, bool)
-        for _ in range(self.solver_settings.line_search_halvings + 1):
-            after = energy(length)
             # Energies differ by less than their own rounding once a step has converged.
-            worse = ~(after <= before + 1e-12 * np.abs(before))
+            worse = ~(self._evaluate_energy() <= before + 1e-12 * np.abs(before))
             if not worse.any():
-                return length, after
-            length = np.where(worse, 0.5 * length, length)
-        length = np.where(worse, 0.0, length)
-        return length, energy(length)
-
-    def _lengthen(
-        self, energy: Callable[[FloatArray], FloatArray], length: FloatArray, longest: FloatArray, after: FloatArray
-    ) -> FloatArray:
-        """Double the steps of worlds that took theirs in full, as long as their energy goes on falling."""
-        growing = (length >= 1.0) & (2.0 * length <= longest)
-        for _ in range(self.solver_settings.line_search_doublings):
-            if not growing.any():
                 break
-            further = np.where(growing, 2.0 * length, length)
-            found = energy(further)
-            growing &= found < after
-            length, after = np.where(growing, further, length), np.where(growing, found, after)
-            growing &= 2.0 * length <= longest
-        energy(length)
-        return length
+            length[worse] *= 0.5
+        else:
+            length[worse] = 0.0
+            self._positions.assign(start + length[:, None, None] * step)
+        return iterations, np.where(longest > 0.0, length, 0.0)
 
     def _linearise(self) -> None:
         """The linear system, and a preconditioner for it that no compressive stress makes indefinite."""
