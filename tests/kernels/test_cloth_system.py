@@ -168,9 +168,7 @@ def test_the_product_is_that_of_the_exported_matrix(device):
     system = simulation._system
     set_inertia(simulation, positions, 0.01)
     gradient(simulation, positions)
-    system.assemble(
-        simulation._positions, simulation._deformation, simulation._stress, simulation._inverse_dt2, simulation._kept
-    )
+    simulation._linearise()
     direction = np.random.default_rng(8).normal(size=positions.shape)
     product = wp.zeros(positions.shape[:2], dtype=wp.vec3, device=device)
     system.multiply(wp.array(direction.astype(np.float32), dtype=wp.vec3, device=device), product)
