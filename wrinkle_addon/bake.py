@@ -40,7 +40,7 @@ SOLVER_VERSION = 2
 
 STATES = "states"
 
-UNTANGLINGS = 3
+UNTANGLINGS = 1
 """How often a garment that settles with its layers through each other is drawn apart."""
 
 SLIDE = 0.08
