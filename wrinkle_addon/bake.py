@@ -72,7 +72,7 @@ class BakeSettings:
     turn_step: float = float(np.radians(3.0))
     rest_tolerance: float = 0.05
     settle_tolerance: float = 0.3
-    settle_iterations: int = 80
+    settle_iterations: int = 50
     trapped: float = 0.005
     pin_stiffness: float = 20.0
 
