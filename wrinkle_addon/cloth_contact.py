@@ -10,7 +10,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ..kernels.cloth import assembly, contact, self_contact
-from .cloth_model import ClothModel, FloatArray, IntArray, group, mesh_edges
+from .cloth_model import ClothModel, FloatArray, IntArray
+from .topology import group, mesh_edges
 
 
 @dataclass(frozen=True)

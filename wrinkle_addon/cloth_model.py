@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .elastic_elements import (
     BlockKeys,
@@ -21,7 +20,8 @@ from .elastic_elements import (
     make_springs,
 )
 from .fabrics import Fabric
-from .plate_bending import FloatArray, IntArray, bending_matrix
+from .plate_bending import FloatArray, bending_matrix
+from .topology import IntArray, group, row_starts
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,12 +126,12 @@ def build_cloth_model(
     elements = hinges or springs
     blocks, contribution_start, contributions = _blocks(faces, elements and elements.vertices, vertex_count)
     rows, columns = blocks // vertex_count, (blocks % vertex_count).astype(np.int32)
-    row_start = _row_starts(rows, vertex_count)
+    row_start = row_starts(rows, vertex_count)
     if elements is None:
         b_rows, b_columns, b_values = bending_matrix(positions, faces, warp, fabric.plate)
     else:
         b_rows, b_columns, b_values = np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0)
-    bending_start = _row_starts(b_rows, vertex_count)
+    bending_start = row_starts(b_rows, vertex_count)
     # Both lists are sorted by (row, column), so their keys can be searched.
     bending_keys = b_rows.astype(np.int64) * vertex_count + b_columns
     place = np.minimum(np.searchsorted(blocks, bending_keys), len(blocks) - 1)
@@ -157,7 +157,7 @@ def build_cloth_model(
         bending_columns=b_columns.astype(np.int32),
         bending_coefficients=b_values,
         block_bending=block_bending,
-        far_start=_row_starts(b_rows[~near], vertex_count),
+        far_start=row_starts(b_rows[~near], vertex_count),
         far_columns=b_columns[~near].astype(np.int32),
         far_coefficients=b_values[~near],
         hinges=hinges and (hinges, gather(hinges.vertices, vertex_count, blocks)),
@@ -192,22 +192,6 @@ def _material_edges(
         edges[:, 0, column] = cosine * along + sine * around
         edges[:, 1, column] = cosine * around - sine * along
     return edges
-
-
-def group(owners: NDArray[np.integer], owner_count: int) -> tuple[IntArray, IntArray]:
-    """Lists of entries by owner: (start, entries) with entries[start[i] : start[i + 1]] owned by i, ascending."""
-    return _row_starts(np.sort(owners), owner_count), np.argsort(owners, kind="stable").astype(np.int32)
-
-
-def mesh_edges(faces: IntArray) -> tuple[IntArray, IntArray]:
-    """Every edge once, shape [edge_count, 2], and the edge of each triangle's sides 01, 12, 20, [triangle_count, 3]."""
-    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, edge_of_side = np.unique(sides, axis=0, return_inverse=True)
-    return edges.astype(np.int32), edge_of_side.reshape(-1, 3).astype(np.int32)
-
-
-def _row_starts(sorted_rows: NDArray[np.integer], row_count: int) -> IntArray:
-    return np.searchsorted(sorted_rows, np.arange(row_count + 1)).astype(np.int32)
 
 
 def _blocks(faces: IntArray, elements: IntArray | None, vertex_count: int) -> tuple[BlockKeys, IntArray, IntArray]:

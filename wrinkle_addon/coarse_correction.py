@@ -10,6 +10,7 @@ import warp as wp
 from ..kernels.cloth import coarse
 from .cloth_model import ClothModel, FloatArray
 from .coarse_space import CoarseLevel, coarse_levels
+from .topology import IntArray, rows_of
 
 DIRECT_SIZE = 96
 
@@ -30,11 +31,12 @@ class CoarseCorrection:
         self._first, self._second = self._upload(first), self._upload(second)
         self._counts = first.count, second.count
         self._entries = len(first.columns), len(second.columns)
-        rows = np.arange(model.vertex_count, dtype=np.int32)
-        near_rows, far_rows = np.repeat(rows, np.diff(model.row_start)), np.repeat(rows, np.diff(model.far_start))
-        self._near = [wp.array(a, dtype=wp.int32, device=self._device) for a in (near_rows, model.columns)]
-        self._far = [wp.array(a, dtype=wp.int32, device=self._device) for a in (far_rows, model.far_columns)]
-        self._far.append(far_coefficients)
+
+        def upload(values: IntArray) -> wp.array:
+            return wp.array(values, dtype=wp.int32, device=self._device)
+
+        self._near = [upload(rows_of(model.row_start)), upload(model.columns)]
+        self._far = [upload(rows_of(model.far_start)), upload(model.far_columns), far_coefficients]
 
         def vectors(count: int) -> wp.array:
             return wp.zeros((world_count, count), dtype=coarse.vec6d, device=self._device)
@@ -68,7 +70,6 @@ class CoarseCorrection:
             [self._matrix],
         )
         self._launch(coarse.invert_diagonal, first, [self._first, self._matrix], [self._smoother])
-        self._dense.zero_()
         self._launch(coarse.gather_nodes, self._entries[1], [self._first, self._matrix, self._second], [self._dense])
         self._inverse.assign(_positive_inverse(self._dense.numpy()))
 

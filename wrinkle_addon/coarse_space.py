@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .cloth_model import ClothModel, FloatArray, IntArray, group
+from .cloth_model import ClothModel, FloatArray, IntArray
+from .topology import group, row_starts, rows_of
 
 NODE_SIZE = 16
 """Vertices that move as one on the first coarse level."""
@@ -54,9 +55,7 @@ def coarse_levels(model: ClothModel) -> tuple[CoarseLevel, CoarseLevel]:
     The entries that contribute to the first one are those of the one-ring, then those of the far bending.
     """
     vertex_count = model.vertex_count
-    near_rows = np.repeat(np.arange(vertex_count), np.diff(model.row_start))
-    far_rows = np.repeat(np.arange(vertex_count), np.diff(model.far_start))
-    rows = np.concatenate([near_rows, far_rows])
+    rows = np.concatenate([rows_of(model.row_start), rows_of(model.far_start)])
     columns = np.concatenate([model.columns, model.far_columns])
     node = aggregate(model.rest_positions, model.row_start, model.columns, max(1, vertex_count // NODE_SIZE))
     first = _level(node, rows, columns)
@@ -74,7 +73,7 @@ def aggregate(positions: FloatArray, row_start: IntArray, columns: IntArray, cou
         row_start, columns: Neighbours of each node, itself included.
         count: Groups asked for; there are more if the graph has more parts.
     """
-    rows = np.repeat(np.arange(len(positions)), np.diff(row_start))
+    rows = rows_of(row_start)
     lengths = np.linalg.norm(positions[rows] - positions[columns], axis=1)
     seeds = _far_apart(positions, count)
     distance = np.full(len(positions), np.inf)
@@ -119,7 +118,7 @@ def _level(node: IntArray, rows: IntArray, columns: IntArray) -> CoarseLevel:
         node=node,
         member_start=member_start,
         members=members,
-        row_start=np.searchsorted(coarse_rows, np.arange(count + 1)).astype(np.int32),
+        row_start=row_starts(coarse_rows, count),
         columns=coarse_columns,
         rows=coarse_rows,
         diagonal_entry=np.flatnonzero(coarse_rows == coarse_columns).astype(np.int32),

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .fabrics import Fabric, Pair, both
-from .plate_bending import FloatArray, IntArray, inner_edges
+from .plate_bending import FloatArray
+from .topology import IntArray, group, inner_edges, mesh_edges
 
 BlockKeys = NDArray[np.int64]
 """Blocks of the Hessian as row * vertex_count + column."""
@@ -93,9 +94,8 @@ def make_springs(faces: IntArray, edges: FloatArray, fabric: Fabric) -> SpringRe
     triangulated spring meshes").
     """
     area = 0.5 * np.linalg.det(edges)
-    ends = np.sort(np.stack([faces, faces[:, [1, 2, 0]]], 2).reshape(-1, 2), axis=1)
-    vertices, edge = np.unique(ends, axis=0, return_inverse=True)
-    edge = edge.ravel()
+    vertices, edge_of_side = mesh_edges(faces)
+    edge = edge_of_side.ravel()
     along = _sides(edges)
     size = np.linalg.norm(along, axis=1)
     count = np.bincount(edge)
@@ -125,15 +125,8 @@ def gather(vertices: IntArray, vertex_count: int, blocks: BlockKeys) -> Gatherin
         vertex_count: Of the garment.
         blocks: The Hessian's blocks, ascending.
     """
-    owners = vertices.ravel()
-    keys = np.searchsorted(blocks, element_keys(vertices, vertex_count))
-    corners, places = np.argsort(owners, kind="stable"), np.argsort(keys, kind="stable")
-    return Gathering(
-        np.searchsorted(owners[corners], np.arange(vertex_count + 1)).astype(np.int32),
-        corners.astype(np.int32),
-        np.searchsorted(keys[places], np.arange(len(blocks) + 1)).astype(np.int32),
-        places.astype(np.int32),
-    )
+    places = np.searchsorted(blocks, element_keys(vertices, vertex_count))
+    return Gathering(*group(vertices.ravel(), vertex_count), *group(places, len(blocks)))
 
 
 def element_keys(vertices: IntArray, vertex_count: int) -> BlockKeys:

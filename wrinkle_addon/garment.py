@@ -12,8 +12,9 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from ..kernels.surface import closest_surface_points
-from .cloth_model import FloatArray, IntArray, group
+from .cloth_model import FloatArray, IntArray
 from .rig import Joint, Rig
+from .topology import group
 
 INFLUENCES = 6
 """Bones that carry a garment vertex, at most."""

@@ -23,12 +23,12 @@ from ..kernels.blend import Cells, Corners, CornerWeights, Offsets, Positions, S
 from ..kernels.interpolate import CORNERS
 from ..kernels.skinning import Skin
 from . import rotations
-from .cloth_model import group
 from .database import WrinkleDatabase
 from .garment import SkinWeights, distances_to_segments
 from .method import BLOCK_SIZE, Evaluator, Method, SplitLaunch
 from .plan import JointGrid, Sample
 from .rig import FloatArray, Pose, pose_of_angles
+from .topology import group
 
 WINDOW_START, WINDOW_END = 0.5, 0.8
 """Distance from a joint's two regions at which its influence begins to fade and has faded [m]."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .topology import IntArray, inner_edges
+
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
 
 # Curvatures that the hinges of a poorly shaped triangle tell this much worse than others are left out: they would
 # make it stiffer than all its neighbours together.
@@ -39,27 +40,6 @@ def bending_matrix(
     unique, entry = np.unique(np.concatenate(keys).ravel(), return_inverse=True)
     summed = np.bincount(entry.ravel(), np.concatenate(values).ravel(), len(unique)).astype(np.float64)
     return (unique // len(positions)).astype(np.int32), (unique % len(positions)).astype(np.int32), summed
-
-
-def inner_edges(faces: IntArray) -> tuple[IntArray, IntArray]:
-    """Edges between two triangles, in a fixed order.
-
-    Returns:
-        vertices: (edge start, edge end, opposite in the first, opposite in the second), shape [edge_count, 4]; the edge
-            runs along the winding of its first triangle.
-        sides: Where the edge lies in its two triangles, as triangle * 3 + corner that the edge starts from, shape
-            [edge_count, 2].
-    """
-    starts = faces.ravel()
-    ends = faces[:, [1, 2, 0]].ravel()
-    opposites = faces[:, [2, 0, 1]].ravel()
-    low, high = np.minimum(starts, ends).astype(np.int64), np.maximum(starts, ends)
-    keys = low * (int(faces.max(initial=0)) + 1) + high
-    order = np.argsort(keys, kind="stable")
-    same = keys[order][1:] == keys[order][:-1]
-    first, second = order[:-1][same], order[1:][same]
-    vertices = np.stack([starts[first], ends[first], opposites[first], opposites[second]], 1)
-    return vertices.astype(np.int32), np.stack([first, second], 1).astype(np.int32)
 
 
 def _hinges(positions: FloatArray, edges: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from ..kernels.curvature import mean_curvature
 from ..kernels.intersections import count_crossings, fill_crossings
 from ..kernels.surface import depth_in_body
-from .cloth_model import FloatArray, IntArray, group, mesh_edges
+from .cloth_model import FloatArray, IntArray
+from .topology import group, mesh_edges
 
 
 class SurfaceMeasures:

@@ -181,7 +181,10 @@ def gather_nodes(
     # outputs
     dense: wp.array3d[wp.float64],
 ):
-    """Matrix of the second coarse level, dense, shape [world_count, 6 node_count, 6 node_count]; begins at zero."""
+    """Matrix of the second coarse level, dense, shape [world_count, 6 node_count, 6 node_count].
+
+    Writes the same entries every time; the others are zero from the beginning.
+    """
     world, entry = wp.tid()
     row = level.rows[entry]
     column = level.columns[entry]

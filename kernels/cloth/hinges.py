@@ -60,13 +60,6 @@ def leaf_normal(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
-def skew(v: wp.vec3d) -> wp.mat33d:
-    """Matrix of the cross product v x."""
-    zero = wp.float64(0.0)
-    return wp.mat33d(zero, -v[2], v[1], v[2], zero, -v[0], -v[1], v[0], zero)
-
-
-@wp.func
 def leaf_hessian(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, i: wp.int32, j: wp.int32) -> wp.mat33d:
     """Derivative of a_i N by corner j [1/m^2]."""
     edge = x1 - x0
@@ -96,7 +89,7 @@ def leaf_hessian(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, i: wp.int32, j: wp.in
         if i == 2:
             share = wp.vec3d()
     mirror = wp.identity(n=3, dtype=wp.float64) - (wp.float64(2.0) / square) * wp.outer(n, n)
-    turned = mirror * skew(opposite) / square
+    turned = mirror * wp.skew(opposite) / square
     return leaf_share(x0, x1, x2, i) * turned + wp.outer(n / square, share)
 
 

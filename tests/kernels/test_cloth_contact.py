@@ -7,7 +7,8 @@ from cloth_shapes import NO_TOUCH, raised, sheet, sphere
 from wrinkle_synthesis.kernels.cloth import contact, self_contact
 from wrinkle_synthesis.wrinkle_addon.cloth import ClothSimulation
 from wrinkle_synthesis.wrinkle_addon.cloth_contact import ContactSettings
-from wrinkle_synthesis.wrinkle_addon.cloth_model import Fabric, build_cloth_model, mesh_edges
+from wrinkle_synthesis.wrinkle_addon.cloth_model import Fabric, build_cloth_model
+from wrinkle_synthesis.wrinkle_addon.topology import mesh_edges
 
 # Kernels look in float32 at lengths up to 1 m: 1 micrometre leaves room for a few roundings.
 FLOAT32 = 1.0e-6

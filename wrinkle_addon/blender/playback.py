@@ -148,9 +148,7 @@ class Player:
             wp.copy(self._host, self._positions)
             wp.synchronize_device(self._positions.device)
         show_positions(garment, self._host_view, frame)
-        modifier = find_modifier(evaluated)
-        covered = modifier is not None and shows_all(modifier)
-        (rest_skinning if covered and _animation.plays else wake_skinning)(garment)
+        (rest_skinning if _animation.plays and _is_covered(evaluated) else wake_skinning)(garment)
         self._inputs = inputs
 
     def _placement(self, garment: bpy.types.Object, armature: bpy.types.Object) -> FloatArray:
@@ -263,6 +261,12 @@ def _is_shown(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool
     if modifier is None:
         return True
     return modifier.show_render if depsgraph.mode == "RENDER" else modifier.show_viewport
+
+
+def _is_covered(evaluated: bpy.types.Object) -> bool:
+    """Whether played positions leave nothing of the skinned shape to see; Factor and Mask may be animated."""
+    modifier = find_modifier(evaluated)
+    return modifier is not None and shows_all(modifier)
 
 
 def _player(garment: bpy.types.Object, source: Source, known: Status) -> Player:

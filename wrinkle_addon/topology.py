@@ -1,0 +1,51 @@
+"""Edges of a triangle mesh, and lists of what belongs to whom, in orders that are always the same."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+IntArray = NDArray[np.int32]
+
+
+def inner_edges(faces: IntArray) -> tuple[IntArray, IntArray]:
+    """Edges between two triangles, in a fixed order.
+
+    Returns:
+        vertices: (edge start, edge end, opposite in the first, opposite in the second), shape [edge_count, 4]; the edge
+            runs along the winding of its first triangle.
+        sides: Where the edge lies in its two triangles, as triangle * 3 + corner that the edge starts from, shape
+            [edge_count, 2].
+    """
+    starts = faces.ravel()
+    ends = faces[:, [1, 2, 0]].ravel()
+    opposites = faces[:, [2, 0, 1]].ravel()
+    low, high = np.minimum(starts, ends).astype(np.int64), np.maximum(starts, ends)
+    keys = low * (int(faces.max(initial=0)) + 1) + high
+    order = np.argsort(keys, kind="stable")
+    same = keys[order][1:] == keys[order][:-1]
+    first, second = order[:-1][same], order[1:][same]
+    vertices = np.stack([starts[first], ends[first], opposites[first], opposites[second]], 1)
+    return vertices.astype(np.int32), np.stack([first, second], 1).astype(np.int32)
+
+
+def group(owners: NDArray[np.integer], owner_count: int) -> tuple[IntArray, IntArray]:
+    """Lists of entries by owner: (start, entries) with entries[start[i] : start[i + 1]] owned by i, ascending."""
+    return row_starts(np.sort(owners), owner_count), np.argsort(owners, kind="stable").astype(np.int32)
+
+
+def mesh_edges(faces: IntArray) -> tuple[IntArray, IntArray]:
+    """Every edge once, shape [edge_count, 2], and the edge of each triangle's sides 01, 12, 20, [triangle_count, 3]."""
+    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, edge_of_side = np.unique(sides, axis=0, return_inverse=True)
+    return edges.astype(np.int32), edge_of_side.reshape(-1, 3).astype(np.int32)
+
+
+def row_starts(sorted_rows: NDArray[np.integer], row_count: int) -> IntArray:
+    """Where each row begins in a list sorted by rows, and where the last one ends, shape [row_count + 1]."""
+    return np.searchsorted(sorted_rows, np.arange(row_count + 1)).astype(np.int32)
+
+
+def rows_of(row_start: IntArray) -> IntArray:
+    """The row of each entry of a list whose rows begin at ``row_start``."""
+    return np.repeat(np.arange(len(row_start) - 1, dtype=np.int32), np.diff(row_start))
