@@ -35,7 +35,7 @@ from .plan import Sample, SamplePlan
 from .rig import FloatArray, Pose, Rig, pose_between, pose_of_angles
 from .surface import BodyVolume, SurfaceMeasures
 
-SOLVER_VERSION = 2
+SOLVER_VERSION = 3
 """Raised whenever the solver gives other samples for the same input, so that old ones are not taken for new."""
 
 STATES = "states"
@@ -61,6 +61,7 @@ class BakeSettings:
             in every sample, far from the joint that moves.
         settle_tolerance: Residual at which a sample is in equilibrium.
         settle_iterations: Bound on the linearisations of one equilibrium.
+        rest_iterations: The same in the rest pose.
         trapped: Share of the vertices that need not come to rest, caught where the body cuts into itself.
         pin_stiffness: How hard a fully pinned vertex is held to the skin [N/m].
     """
@@ -72,7 +73,8 @@ class BakeSettings:
     turn_step: float = float(np.radians(3.0))
     rest_tolerance: float = 0.05
     settle_tolerance: float = 0.3
-    settle_iterations: int = 50
+    settle_iterations: int = 80
+    rest_iterations: int = 300
     trapped: float = 0.005
     pin_stiffness: float = 20.0
 
@@ -368,7 +370,7 @@ class Wearer:
         self._place(Pose.at_rest(self.rig))
         self.simulation.start(self.garment.positions)
         self.simulation.move_body(self.bodies.positions(self._pose))
-        return self.settle(self.settings.rest_tolerance, trapped=0.0)
+        return self.settle(self.settings.rest_tolerance, trapped=0.0, iterations=self.settings.rest_iterations)
 
     def begin(self, positions: FloatArray, pose: Pose) -> None:
         """Start from a garment that lies still in this pose [m], held by friction."""
@@ -409,7 +411,9 @@ class Wearer:
         for fraction in self.fractions(start, pose):
             self.follow(pose if fraction == 1.0 else pose_between(self.rig, start, pose, float(fraction)))
 
-    def settle(self, tolerance: float | None = None, trapped: float | None = None) -> dict[str, Any]:
+    def settle(
+        self, tolerance: float | None = None, trapped: float | None = None, iterations: int | None = None
+    ) -> dict[str, Any]:
         """Bring the garment to equilibrium; reports how close it came and how it lies.
 
         Where it has passed through itself it is drawn apart and settles again, a few times at most.
@@ -417,13 +421,15 @@ class Wearer:
         Args:
             tolerance: Residual to stop at, in nodal weights; left out, that of a sample.
             trapped: Share of the vertices that need not come to rest; left out, that of a sample.
+            iterations: Bound on the linearisations; left out, that of a sample.
         """
         settings = self.settings
         tolerance = settings.settle_tolerance if tolerance is None else tolerance
         trapped = settings.trapped if trapped is None else trapped
-        reports = [self.simulation.settle(tolerance, settings.settle_iterations, trapped=trapped)]
+        iterations = settings.settle_iterations if iterations is None else iterations
+        reports = [self.simulation.settle(tolerance, iterations, trapped=trapped)]
         while len(reports) <= UNTANGLINGS and self.simulation.untangle():
-            reports.append(self.simulation.settle(tolerance, settings.settle_iterations, trapped=trapped))
+            reports.append(self.simulation.settle(tolerance, iterations, trapped=trapped))
         return {
             "residual": round(reports[-1].residual, 4),
             "whole_residual": round(reports[-1].whole_residual, 4),

@@ -230,9 +230,10 @@ class ClothSimulation:
     def settle(self, tolerance: float = 1.0, max_iterations: int = 60, *, trapped: float = 0.0) -> SettleReport:
         """Go to static equilibrium with the body at rest.
 
-        Newton's method with two safeguards that fade while full steps succeed. First mass, as in a time step without
-        velocity that grows; then, once there is next to none, leaving out the compressive stress, which makes the
-        Hessian indefinite on the way but without which the last part of it is slow.
+        Newton's method with two safeguards that fade while full steps lower the residual. First
+        mass, as in a time step without velocity that grows; then, once there is next to none, leaving out the
+        compressive stress, which makes the Hessian indefinite on the way but without which the last part of it is slow.
+        Mass comes back faster than it fades, so that steps that go back and forth between two walls get smaller.
 
         Args:
             tolerance: Residual to stop at, in root mean square nodal weights (1 for Wang et al., 0.1 for Xu et al.).
@@ -244,13 +245,19 @@ class ClothSimulation:
         kept = np.zeros(self.world_count)
         moving = np.ones(self.world_count, bool)
         residual = np.full(self.world_count, np.inf)
+        length, massless = np.ones(self.world_count), np.zeros(self.world_count, bool)
         iteration = linear_total = 0
         self._rest()
         for iteration in range(max_iterations + 1):
-            self._contact.find(self._positions, self._moving)
+            self._contact.find(self._positions, self._moving, self._moving)
             self._set_inertia(self.positions, np.zeros(self.world_count))
             self._evaluate_gradient()
-            residual = self._rms_residual(trapped)
+            before, residual = residual, np.where(moving, self._rms_residual(trapped), residual)
+            if iteration:
+                # Planes are found anew between steps, out of the line search's sight.
+                well = (length == 1.0) & ((residual < before) | ~self._contact.touches())
+                kept = np.where(well, np.where(massless, np.minimum(kept + 0.2, 1.0), kept), 0.5 * kept)
+                span = np.where(well, np.minimum(2.0 * span, 1.0e3), np.maximum(0.25 * span, 1.0 / 240.0))
             # A world that is done must not go on with its neighbours, or its result would depend on them.
             moving &= residual > tolerance
             if not moving.any() or iteration == max_iterations:
@@ -261,9 +268,6 @@ class ClothSimulation:
             self._kept.assign(np.where(massless, kept, 0.0))
             iterations, length = self._newton_step()
             linear_total += iterations
-            full = length == 1.0
-            kept = np.where(full, np.where(massless, np.minimum(kept + 0.2, 1.0), kept), 0.5 * kept)
-            span = np.where(full, np.minimum(2.0 * span, 1.0e3), np.maximum(0.5 * span, 1.0 / 240.0))
         self._moving.fill_(1)
         self._kept.zero_()
         rested = bool(residual.max() <= tolerance)
@@ -316,7 +320,7 @@ class ClothSimulation:
         """Newton's method on the incremental potential of one step."""
         self._set_inertia(target, np.full(self.world_count, 1.0 / dt**2))
         for _ in range(self.solver_settings.newton_iterations):
-            self._contact.find(self._positions, self._none)
+            self._contact.find(self._positions, self._none, self._moving)
             self._newton_step()
         # What a fast body has run over in spite of all must not go on into it, nor come out on its other side.
         self._contact.expel(self._positions, EXPELLED_DEPTH)

@@ -9,9 +9,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..kernels.cloth import assembly, contact, self_contact
+from ..kernels.cloth import assembly, body_surface, contact, contact_planes, self_contact
 from .cloth_model import ClothModel, FloatArray, IntArray
-from .topology import group, mesh_edges
+from .topology import group, mesh_edges, triangles_beside
 
 
 @dataclass(frozen=True)
@@ -86,45 +86,53 @@ class ContactSearch:
         self._shape = (len(body_positions), model.vertex_count)
         self._make_body(body_faces, body_positions)
         limbs = limbs or Limbs(np.zeros(len(body_faces), np.int32), np.full(model.vertex_count, 1, np.int32))
-        self._body_limb = wp.array(limbs.of_triangles, dtype=wp.int32, device=self._device)
+        self._body.limb = wp.array(limbs.of_triangles, dtype=wp.int32, device=self._device)
         self._limbs = wp.array(limbs.of_vertices, dtype=wp.int32, device=self._device)
         self._make_planes()
         self._make_pairs(model)
+        self.forget()
+        self.move_body(body_positions)
 
     def move_body(self, positions: FloatArray) -> None:
-        """Put the body here [m], shape [world_count, body_vertex_count, 3]; friction anchors go with it."""
-        if positions.shape[1] != self._body_points.shape[1]:
-            raise ValueError(f"The body has {self._body_points.shape[1]} vertices, not {positions.shape[1]}.")
-        self._body_points.assign(positions.astype(np.float32))
+        """Put the body here [m], shape [world_count, body_vertex_count, 3]; friction anchors go with it.
+
+        Which walls were touched is forgotten: that memory is only for linearisations around one place.
+        """
+        if positions.shape[1] != self._body.points.shape[1]:
+            raise ValueError(f"The body has {self._body.points.shape[1]} vertices, not {positions.shape[1]}.")
+        self._body.points.assign(positions.astype(np.float32))
         for mesh in self._body_meshes:
             mesh.refit()
+        self._held_face.fill_(-1)
         self._launch(
-            contact.vertex_normals,
-            self._body_points.shape,
-            [self._body_points, self._body_faces, self._body_corner_start, self._body_corners],
-            [self._body_normals],
+            body_surface.vertex_normals,
+            self._body.points.shape,
+            [self._body.points, self._body.faces, self._body_corner_start, self._body_corners],
+            [self._body.normals],
         )
 
     @property
     def body_positions(self) -> NDArray[np.float32]:
         """The body as it was put [m], shape [world_count, body_vertex_count, 3]; a copy."""
-        return self._body_points.numpy().copy()
+        return self._body.points.numpy().copy()
 
     def set_outward(self, directions: FloatArray) -> None:
         """Outward unit vectors of the garment's vertices, shape [world_count, vertex_count, 3]."""
         self._outward.assign(directions.astype(np.float32))
 
     def forget(self) -> None:
-        """Let go of every friction anchor."""
+        """Let go of every friction anchor and every touched wall."""
         self.anchor_face.fill_(-1)
         self.anchor_weights.zero_()
+        self._held_face.fill_(-1)
 
-    def find(self, positions: wp.array, following: wp.array) -> None:
+    def find(self, positions: wp.array, following: wp.array, remembering: wp.array | None = None) -> None:
         """Freeze contact at these positions (float64 [m]): planes, friction anchors and bounds, pairs.
 
-        ``following``, shape [world_count], says in which worlds anchors change as :meth:`follow` tells.
+        ``following``, shape [world_count], says in which worlds anchors change as :meth:`follow` tells;
+        ``remembering`` in which the walls touched now are kept in mind for the next search, none if left out.
         """
-        self._find_planes(positions)
+        self._find_planes(positions, remembering)
         self.follow(positions, following)
         if self.settings.self_thickness > 0.0:
             self._find_pairs(positions)
@@ -141,10 +149,10 @@ class ContactSearch:
             [
                 positions,
                 self._area,
-                self._body_points,
-                self._body_faces,
+                self._body.points,
+                self._body.faces,
                 c.face,
-                self._face_weights,
+                self._planes.weights,
                 c.point,
                 c.normal,
                 wp.float64(settings.thickness),
@@ -160,11 +168,16 @@ class ContactSearch:
             [c.anchor, c.friction_bound],
         )
 
+    def touches(self) -> NDArray[np.bool_]:
+        """In which worlds the garment lay within a thickness of the body at the last search that remembered."""
+        return (self._held_face.numpy() >= 0).any(1)
+
     def expel(self, positions: wp.array, limit: float) -> None:
         """Put vertices deeper in the body than ``limit`` [m] on its skin, unless a fold's other side is there."""
         self._find_planes(positions)
         c = self.frozen
-        self._launch(contact.expel_vertices, self._shape, [c.face, c.point, c.normal, wp.float64(limit), positions], [])
+        depths = [wp.float64(limit), wp.float64(self.settings.depth)]
+        self._launch(contact.expel_vertices, self._shape, [c.face, c.point, c.normal, *depths, positions], [])
 
     def hold(self, gradient: wp.array) -> None:
         """Place the anchors of the planes found last so that friction balances a gradient [N] taken without it."""
@@ -174,8 +187,8 @@ class ContactSearch:
             self._shape,
             [
                 gradient,
-                self._body_points,
-                self._body_faces,
+                self._body.points,
+                self._body.faces,
                 c.face,
                 c.point,
                 c.normal,
@@ -193,27 +206,11 @@ class ContactSearch:
         self._launch(contact.measure_depth, self._shape, [positions, c.face, c.point, c.normal], [gap])
         return gap.numpy()
 
-    def _find_planes(self, positions: wp.array) -> None:
-        c, settings = self.frozen, self.settings
-        self._launch(
-            contact.find_body_contacts,
-            self._shape,
-            [
-                positions,
-                self._outward,
-                self._limbs,
-                self._body_ids,
-                self._body_points,
-                self._body_faces,
-                self._body_limb,
-                self._body_normals,
-                settings.radius,
-                settings.thickness,
-                settings.thickness + settings.depth,
-                settings.least_cosine,
-            ],
-            [c.face, self._face_weights, c.point, c.normal],
-        )
+    def _find_planes(self, positions: wp.array, remembering: wp.array | None = None) -> None:
+        remembering = self._none if remembering is None else remembering
+        inputs = [positions, self._outward, self._limbs, self._body, self._reach, remembering]
+        found = [self._held_face, self._held_weights, self._planes]
+        self._launch(contact_planes.find_contact_planes, self._shape, inputs, found)
 
     def _find_pairs(self, positions: wp.array) -> None:
         """List the pairs of vertices and triangles and of edges within reach."""
@@ -263,30 +260,38 @@ class ContactSearch:
 
     def _make_body(self, faces: IntArray, positions: FloatArray) -> None:
         start, corners = group(faces.ravel(), positions.shape[1])
-        self._body_faces = wp.array(faces, dtype=wp.int32, device=self._device)
         self._body_corner_start = wp.array(start, dtype=wp.int32, device=self._device)
         self._body_corners = wp.array(corners, dtype=wp.int32, device=self._device)
-        self._body_points = wp.array(positions.astype(np.float32), dtype=wp.vec3, device=self._device)
-        self._body_normals = wp.zeros(self._body_points.shape, dtype=wp.vec3, device=self._device)
-        self._body_meshes, self._body_ids = self._meshes(self._body_points, self._body_faces)
-        self.move_body(positions)
+        body = body_surface.BodySurface()
+        body.faces = wp.array(faces, dtype=wp.int32, device=self._device)
+        body.beside = wp.array(triangles_beside(faces), dtype=wp.int32, device=self._device)
+        body.points = wp.array(positions.astype(np.float32), dtype=wp.vec3, device=self._device)
+        body.normals = self._zeros(body.points.shape, wp.vec3)
+        self._body_meshes, body.meshes = self._meshes(body.points, body.faces)
+        self._body = body
 
     def _make_planes(self) -> None:
-        worlds, vertices = self._shape
-        planes = (worlds, vertices * contact.PLANES)
+        shape = (self._shape[0], self._shape[1] * contact_planes.PLANES)
+        settings = self.settings
+        reach = contact_planes.ContactReach()
+        reach.radius, reach.thickness = settings.radius, settings.thickness
+        reach.depth, reach.least_cosine = settings.thickness + settings.depth, settings.least_cosine
+        planes = contact_planes.ContactPlanes()
+        planes.face, planes.weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)
+        planes.point, planes.normal = self._zeros(shape, wp.vec3d), self._zeros(shape, wp.vec3d)
+        planes.hollow = self._zeros(shape, wp.vec3)
+        self._reach, self._planes = reach, planes
         c = assembly.Contact()
-        c.thickness = wp.float64(self.settings.thickness)
-        c.pressure = wp.float64(self.settings.pressure)
-        c.depth = wp.float64(self.settings.depth)
-        c.slip = wp.float64(self.settings.slip)
-        c.face, c.point = self._zeros(planes, wp.int32), self._zeros(planes, wp.vec3d)
-        c.normal, c.anchor = self._zeros(planes, wp.vec3d), self._zeros(planes, wp.vec3d)
-        c.friction_bound = self._zeros(planes, wp.float64)
+        c.thickness = wp.float64(settings.thickness)
+        c.pressure = wp.float64(settings.pressure)
+        c.depth = wp.float64(settings.depth)
+        c.slip = wp.float64(settings.slip)
+        c.face, c.point, c.normal, c.hollow = planes.face, planes.point, planes.normal, planes.hollow
+        c.anchor, c.friction_bound = self._zeros(shape, wp.vec3d), self._zeros(shape, wp.float64)
         self.frozen = c
-        self._face_weights = self._zeros(planes, wp.vec3)
-        self._outward = self._zeros(self._shape, wp.vec3)
-        self.anchor_face, self.anchor_weights = self._zeros(planes, wp.int32), self._zeros(planes, wp.vec3)
-        self.forget()
+        self._outward, self._none = self._zeros(self._shape, wp.vec3), self._zeros(self._shape[0], wp.int32)
+        self._held_face, self._held_weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)
+        self.anchor_face, self.anchor_weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)
 
     def _make_pairs(self, model: ClothModel) -> None:
         worlds, vertices = self._shape

@@ -49,3 +49,13 @@ def row_starts(sorted_rows: NDArray[np.integer], row_count: int) -> IntArray:
 def rows_of(row_start: IntArray) -> IntArray:
     """The row of each entry of a list whose rows begin at ``row_start``."""
     return np.repeat(np.arange(len(row_start) - 1, dtype=np.int32), np.diff(row_start))
+
+
+def triangles_beside(faces: IntArray) -> IntArray:
+    """The triangle across the edge that lies opposite each corner, -1 at a border, shape [triangle_count, 3]."""
+    _, sides = inner_edges(faces)
+    beside = np.full(faces.size, -1, np.int32)
+    for near, far in (sides.T, sides.T[::-1]):
+        # The edge that starts from corner k ends at k + 1, so it lies opposite corner k + 2.
+        beside[near - near % 3 + (near + 2) % 3] = far // 3
+    return beside.reshape(-1, 3)

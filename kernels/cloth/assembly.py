@@ -8,7 +8,8 @@ applied from their planes and never assembled.
 import warp as wp
 
 from .bending import bending_gradient
-from .contact import PLANES, contact_curvature, contact_energy, contact_force
+from .contact import contact_curvature, contact_energy, contact_force
+from .contact_planes import PLANES
 from .friction import friction_energy, friction_hessian, friction_slope, tangential
 from .membrane import Membrane, mat32d, membrane_gradient, membrane_hessian, shape_gradient
 from .self_contact import pair_separation
@@ -50,6 +51,7 @@ class Contact:
     face: wp.array2d[wp.int32]
     point: wp.array2d[wp.vec3d]
     normal: wp.array2d[wp.vec3d]
+    hollow: wp.array2d[wp.vec3]
     anchor: wp.array2d[wp.vec3d]
     friction_bound: wp.array2d[wp.float64]
     self_thickness: wp.float64
@@ -247,6 +249,8 @@ def assemble_diagonal(
             n = contact.normal[world, plane]
             gap = wp.dot(x - contact.point[world, plane], n)
             total += contact_curvature(gap, contact.thickness, strength, contact.depth) * wp.outer(n, n)
+            bend = wp.vec3d(contact.hollow[world, plane])
+            total += contact_force(gap, contact.thickness, strength, contact.depth) * wp.outer(bend, bend)
             drift = tangential(x - contact.anchor[world, plane], n)
             total += friction_hessian(drift, n, contact.friction_bound[world, plane], contact.slip)
     entry = diagonal_entry[vertex]

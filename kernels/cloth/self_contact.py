@@ -12,7 +12,7 @@ collect their share through lists of incident pairs, in a fixed order, so that s
 
 import warp as wp
 
-from .contact import closest_point_on_triangle, triangle_point
+from .body_surface import closest_point_on_triangle, triangle_point
 
 wp.set_module_options({"enable_backward": False})
 

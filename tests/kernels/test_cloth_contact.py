@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 from cloth_shapes import NO_TOUCH, raised, sheet, sphere
-from wrinkle_synthesis.kernels.cloth import contact, self_contact
+from wrinkle_synthesis.kernels.cloth import body_surface, contact_planes, self_contact
 from wrinkle_synthesis.wrinkle_addon.cloth import ClothSimulation
 from wrinkle_synthesis.wrinkle_addon.cloth_contact import ContactSettings
 from wrinkle_synthesis.wrinkle_addon.cloth_model import Fabric, build_cloth_model
@@ -33,7 +33,7 @@ def evaluate_closest_point(
     points: wp.array[wp.vec3], triangles: wp.array2d[wp.vec3], weights: wp.array[wp.vec3], closest: wp.array[wp.vec3]
 ):
     i = wp.tid()
-    w = contact.closest_point_on_triangle(points[i], triangles[i, 0], triangles[i, 1], triangles[i, 2])
+    w = body_surface.closest_point_on_triangle(points[i], triangles[i, 0], triangles[i, 1], triangles[i, 2])
     weights[i] = w
     closest[i] = w[0] * triangles[i, 0] + w[1] * triangles[i, 1] + w[2] * triangles[i, 2]
 
@@ -67,7 +67,7 @@ def touching(points, body, body_faces, device, outward=None, **settings):
         simulation.set_outward(outward)
     simulation._contact.find(simulation._positions, simulation._moving)
     frozen = simulation._contact.frozen
-    shape = (len(points), contact.PLANES)
+    shape = (len(points), contact_planes.PLANES)
     return (
         frozen.face.numpy().reshape(shape),
         frozen.point.numpy().reshape(*shape, 3),
