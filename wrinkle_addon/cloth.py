@@ -34,6 +34,9 @@ STANDARD_GRAVITY = 9.80665
 # A time step this long [s] has next to no inertia against the stiffness of any fabric.
 MASSLESS_SPAN = 10.0
 
+# A step that lets the residual grow by more than this went too far.
+MOST_GROWTH = 1.1
+
 # A vertex that ends a step deeper in the body than this [m] is put on its skin.
 EXPELLED_DEPTH = 0.001
 
@@ -230,7 +233,7 @@ class ClothSimulation:
     def settle(self, tolerance: float = 1.0, max_iterations: int = 60, *, trapped: float = 0.0) -> SettleReport:
         """Go to static equilibrium with the body at rest.
 
-        Newton's method with two safeguards that fade while full steps lower the residual. First
+        Newton's method with two safeguards that fade while full steps do not raise the residual. First
         mass, as in a time step without velocity that grows; then, once there is next to none, leaving out the
         compressive stress, which makes the Hessian indefinite on the way but without which the last part of it is slow.
         Mass comes back faster than it fades, so that steps that go back and forth between two walls get smaller.
@@ -255,7 +258,7 @@ class ClothSimulation:
             before, residual = residual, np.where(moving, self._rms_residual(trapped), residual)
             if iteration:
                 # Planes are found anew between steps, out of the line search's sight.
-                well = (length == 1.0) & ((residual < before) | ~self._contact.touches())
+                well = (length == 1.0) & ((residual < MOST_GROWTH * before) | ~self._contact.touches())
                 kept = np.where(well, np.where(massless, np.minimum(kept + 0.2, 1.0), kept), 0.5 * kept)
                 span = np.where(well, np.minimum(2.0 * span, 1.0e3), np.maximum(0.25 * span, 1.0 / 240.0))
             # A world that is done must not go on with its neighbours, or its result would depend on them.
