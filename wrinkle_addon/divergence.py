@@ -61,7 +61,7 @@ def told_of(what: str, rig: Rig, garment: Garment) -> Iterator[None]:
     except Divergence as error:
         raise ValueError(
             f"{what}: the cloth near {place_of(rig, garment, error.vertex)} moved to no number; "
-            "repair the faces of garment and body there, or bake less far."
+            "repair long thin faces of garment and body there, or choose a softer fabric."
         ) from error
     except ValueError as error:
         raise ValueError(f"{what}: {error}") from error
