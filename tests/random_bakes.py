@@ -61,7 +61,7 @@ def random_bake(seed: int) -> RandomBake:
     name = str(rng.choice(list(RANGES)))
     part, ranges = RANGES[name]
     kind = str(rng.choice(list(GARMENTS)))
-    scale = float(rng.choice([1.0, 1.0, 1.0, 1.0, 0.1, 0.01]))
+    scale = float(rng.choice([0.4, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 2.0]))
     rig, body = limb(part)
     positions, faces = GARMENTS[kind](rng, rig, part)
     positions = spoiled(rng, positions, faces)
@@ -96,8 +96,8 @@ def random_angles(rng: np.random.Generator, low: float, high: float) -> list[flo
 def limb(part: str) -> tuple[Rig, Body]:
     """The whole skeleton, and a tube around a part of it."""
     rig = human()
-    positions, faces = tube_along(path(rig, part), RADII[part], 41, 14)
-    return rig, Body(positions, faces, weights_by_distance(rig, positions, RADII[part]))
+    positions, faces = tube_along(path(rig, part), RADII[part], 61, 20)
+    return rig, Body(positions, faces, weights_by_distance(rig, positions, 2.0 * RADII[part]))
 
 
 def path(rig: Rig, part: str) -> list[Array]:
@@ -112,7 +112,7 @@ def shell(rng: np.random.Generator, rig: Rig, part: str, gap: float, rings: int 
     points = path(rig, part)
     cut = rng.uniform(0.0, 0.3)
     points[0] = points[0] + cut * (points[1] - points[0])
-    return tube_along(points, RADII[part] + gap, rings or int(rng.integers(9, 26)), int(rng.integers(6, 15)))
+    return tube_along(points, RADII[part] + gap, rings or int(rng.integers(9, 40)), int(rng.integers(6, 22)))
 
 
 def fitting(rng: np.random.Generator, rig: Rig, part: str) -> tuple[Array, Array]:

@@ -30,7 +30,7 @@ from .database import (
     write_sample,
 )
 from .divergence import place_of, told_of
-from .garment import Body, Garment, bind_to_surface, check_fit, check_surface, find_regions
+from .garment import Body, Garment, bind_to_surface, check_body, check_fit, check_surface, find_regions
 from .joints import find_joints
 from .plan import Sample, SamplePlan
 from .rig import FloatArray, Pose, Rig, pose_between, pose_of_angles
@@ -118,11 +118,7 @@ class BakeJob:
 
     def __post_init__(self) -> None:
         check_surface(self.garment.name, self.garment.positions, self.garment.faces)
-        if not len(self.body.faces):
-            raise ValueError("The body has no faces; choose the mesh that the garment is worn on.")
-        lost = int((~np.isfinite(self.body.positions)).any(1).sum())
-        if lost:
-            raise ValueError(f"{lost} vertices of the body have positions that are not numbers; repair the mesh.")
+        check_body(self.body)
         distance = bind_to_surface(self.garment.positions, self.body.positions, self.body.faces).distance
         check_fit(self.garment.name, self.garment.positions, self.body, distance)
 

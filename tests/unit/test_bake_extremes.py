@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +13,8 @@ from dolls import Array, Doll, tube_along
 from random_bakes import RADII, RANGES, RandomBake, kept, limb, path, with_slivers
 from skeletons import scaled
 from wrinkle_synthesis.wrinkle_addon.bake import BakeSettings
-from wrinkle_synthesis.wrinkle_addon.fabrics import Fabric
-from wrinkle_synthesis.wrinkle_addon.garment import Garment, skin_garment
+from wrinkle_synthesis.wrinkle_addon.fabrics import Fabric, Material
+from wrinkle_synthesis.wrinkle_addon.garment import Garment, check_surface, skin_garment
 from wrinkle_synthesis.wrinkle_addon.joints import find_joints, with_ranges
 from wrinkle_synthesis.wrinkle_addon.plan import JointGrid, SamplePlan
 
@@ -24,7 +25,7 @@ def bake_of(
     name: str = "elbow_L",
     degrees: tuple[float, ...] = (60.0,),
     gap: float = 0.01,
-    spoil=lambda positions, faces: (positions, faces),
+    spoil: Callable[[Array, Array], tuple[Array, Array]] = lambda positions, faces: (positions, faces),
     scale: float = 1.0,
     **settings,
 ) -> RandomBake:
@@ -44,58 +45,103 @@ def bake_of(
     return RandomBake(part, "tube", Doll(rig, body, garment, (joint,)), SamplePlan((grid,)), BakeSettings(**settings))
 
 
-def ends_of(name: str) -> list[tuple[float, ...]]:
-    """A joint at all its lowest and at all its highest angles."""
-    lows, highs = zip(*RANGES[name][1], strict=True)
-    return [lows, highs]
+def settled(drawn: RandomBake, folder: Path) -> dict:
+    """The report of the grid's last node, checked; not one that diverged or was refused."""
+    outcome = outcome_of(drawn, len(drawn.plan.simulated) - 1, folder)
+    assert isinstance(outcome, dict), outcome
+    return outcome
 
 
-@pytest.mark.parametrize(
-    ("name", "degrees"), [(name, degrees) for name in RANGES for degrees in ends_of(name)], ids=str
-)
+# --- poses --------------------------------------------------------------------------------------------------------
+
+
+def limits() -> list:
+    """Every joint at all its lowest and at all its highest angles; those of the elbow, a little beyond people's, take
+    least time."""
+    ends = [(name, end) for name, (_, ranges) in RANGES.items() for end in zip(*ranges, strict=True)]
+    return [
+        pytest.param(*end, id=f"{end[0]}{end[1]}", marks=[] if "elbow" in end[0] else pytest.mark.long) for end in ends
+    ]
+
+
+@pytest.mark.parametrize(("name", "degrees"), limits())
 def test_a_joint_at_all_its_limits(name: str, degrees: tuple[float, ...], tmp_path: Path):
-    drawn = bake_of(name, degrees)
-    print(outcome_of(drawn, len(drawn.plan.simulated) - 1, tmp_path))
+    settled(bake_of(name, degrees, turn_step=float(np.radians(12.0))), tmp_path)
 
 
-@pytest.mark.parametrize("gap", [-0.001, -0.005, -0.01, -0.02])
-def test_a_garment_that_starts_in_the_body(gap: float, tmp_path: Path):
-    print(outcome_of(bake_of(gap=gap), 0, tmp_path))
+# --- garments -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("times", [2.0, 3.0, 4.0])
+@pytest.mark.parametrize(("depth", "ease"), [(0.001, 0.0), (0.005, 0.0), (0.01, 0.5), (0.02, 1.3)])
+def test_a_garment_that_starts_in_the_body_comes_out_if_it_is_cut_wide_enough(
+    depth: float, ease: float, tmp_path: Path
+):
+    assert settled(bake_of(degrees=(20.0,), gap=-depth, ease=(ease, 0.0)), tmp_path)["inside"] == 0
+
+
+def test_a_garment_far_too_tight_stays_in_the_body_and_that_is_told(tmp_path: Path):
+    """Half as wide as the arm: stretched to twice its width it presses harder than contact does."""
+    report = settled(bake_of(degrees=(20.0,), gap=-0.02), tmp_path)
+    assert report["inside"] > 100 and report["deepest_mm"] > 5.0 and "restless" in report
+
+
+@pytest.mark.parametrize("times", [2.0, 3.0])
 def test_a_garment_a_few_times_too_large(times: float, tmp_path: Path):
-    print(outcome_of(bake_of(gap=(times - 1.0) * RADII["arm"]), 0, tmp_path))
+    settled(bake_of(degrees=(20.0,), gap=(times - 1.0) * RADII["arm"]), tmp_path)
+
+
+def test_a_garment_too_large_to_be_worn_is_refused(tmp_path: Path):
+    sentence = outcome_of(bake_of("spine", (0.0, 30.0, 0.0), gap=2.0 * RADII["trunk"]), 0, tmp_path)
+    assert "is 0.24 m away from the body; put it on the body" in str(sentence)
 
 
 def strip(positions: Array, faces: Array) -> tuple[Array, Array]:
-    columns = faces % AROUND
-    return kept(positions, faces, (columns <= 1).all(1))
+    """One cell wide, along the arm."""
+    return kept(positions, faces, (faces % AROUND <= 1).all(1))
 
 
 def cuff(positions: Array, faces: Array) -> tuple[Array, Array]:
+    """One cell wide, around the arm."""
     rings = faces // AROUND
     return kept(positions, faces, ((rings >= 10) & (rings <= 11)).all(1))
 
 
-def triangle(positions: Array, faces: Array) -> tuple[Array, Array]:
-    return kept(positions, faces, np.array([300]))
+def pair(positions: Array, faces: Array) -> tuple[Array, Array]:
+    return kept(positions, faces, np.array([300, 301]))
 
 
-@pytest.mark.parametrize("spoil", [strip, cuff, triangle])
-def test_a_garment_of_next_to_nothing(spoil, tmp_path: Path):
-    print(outcome_of(bake_of(spoil=spoil), 0, tmp_path))
+@pytest.mark.parametrize("spoil", [strip, cuff, pair])
+def test_a_garment_of_next_to_nothing(spoil: Callable, tmp_path: Path):
+    settled(bake_of(spoil=spoil), tmp_path)
 
 
-@pytest.mark.parametrize("aspect", [50.0, 1000.0, 1.0e5])
-@pytest.mark.parametrize("material", ["plate", "hinges", "springs"])
-def test_slivers(material, aspect: float, tmp_path: Path):
+def test_faces_that_are_not_sewn_together_are_refused(tmp_path: Path):
+    def torn(positions: Array, faces: Array) -> tuple[Array, Array]:
+        return positions[faces.ravel()], np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
+
+    sentence = "No two faces of the garment 'tube' share an edge; merge vertices by distance."
+    drawn = bake_of()
+    positions, faces = torn(drawn.character.garment.positions, drawn.character.garment.faces)
+    with pytest.raises(ValueError, match=sentence):
+        check_surface("tube", positions, faces)
+
+
+# --- meshes and units ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("aspect", "material"), [(50, "plate"), (50, "hinges"), (50, "springs"), (1000, "plate")])
+def test_slivers(aspect: float, material: Material, tmp_path: Path):
+    """Stiffness grows with the square of the aspect: at 1000 a determinant of it is more than float32 holds."""
+
     def slivers(positions: Array, faces: Array) -> tuple[Array, Array]:
         return with_slivers(positions, faces, range(7, len(faces), 40), aspect), faces
 
-    print(outcome_of(bake_of(spoil=slivers, fabric=Fabric(material=material)), 0, tmp_path))
+    settled(bake_of(degrees=(20.0,), spoil=slivers, fabric=Fabric(material=material)), tmp_path)
 
 
-@pytest.mark.parametrize("scale", [0.01, 0.1, 10.0, 100.0])
-def test_units_that_are_no_metres(scale: float, tmp_path: Path):
-    print(outcome_of(bake_of(scale=scale), 0, tmp_path))
+@pytest.mark.parametrize(("scale", "size"), [(0.01, "0.00566"), (100.0, "56.6")])
+def test_units_that_are_no_metres_are_refused(scale: float, size: str, tmp_path: Path):
+    sentence = outcome_of(bake_of(scale=scale), 0, tmp_path)
+    assert sentence == (
+        f"The body is {size} m tall; set the scene's unit scale, or the armature's, so that it has its true size."
+    )
