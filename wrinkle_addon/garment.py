@@ -220,8 +220,6 @@ def check_surface(name: str, positions: FloatArray, faces: IntArray) -> None:
             f"The garment '{name}' has {int((counts > 2).sum())} edges with more than two faces; "
             "select non-manifold edges and split or delete the extra faces."
         )
-    if (counts == 1).all():
-        raise ValueError(f"No two faces of the garment '{name}' share an edge; merge vertices by distance.")
     corners = positions[faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     flat = area < 1e-6 * np.median(area)
