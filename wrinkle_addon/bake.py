@@ -29,7 +29,8 @@ from .database import (
     write_rest,
     write_sample,
 )
-from .garment import Body, Garment, bind_to_surface, check_fit, check_surface, find_regions
+from .divergence import place_of, told_of
+from .garment import Body, Garment, bind_to_surface, check_body, check_fit, check_surface, find_regions
 from .joints import find_joints
 from .plan import Sample, SamplePlan
 from .rig import FloatArray, Pose, Rig, pose_between, pose_of_angles
@@ -119,8 +120,7 @@ class BakeJob:
 
     def __post_init__(self) -> None:
         check_surface(self.garment.name, self.garment.positions, self.garment.faces)
-        if not len(self.body.faces):
-            raise ValueError("The body has no faces; choose the mesh that the garment is worn on.")
+        check_body(self.body)
         distance = bind_to_surface(self.garment.positions, self.body.positions, self.body.faces).distance
         check_fit(self.garment.name, self.garment.positions, self.body, distance)
 
@@ -280,7 +280,8 @@ class SimulatedSamples:
         path = self._path("rest")
         if path.exists():
             return self._read(path)
-        report = self.wearer.dress()
+        with told_of("The rest pose", self._job.rig, self._job.garment):
+            report = self.wearer.dress()
         positions = self.wearer.positions
         mirror = self._job.plan.mirror
         if mirror is not None:
@@ -302,10 +303,11 @@ class SimulatedSamples:
             angles = start + fraction * (end - start)
             return pose_of_angles(self._job.rig, self._job.header.joints, {sample.joint: angles})
 
-        wearer.begin(shape.positions, pose(0.0))
-        for fraction in wearer.fractions(pose(0.0), pose(1.0)):
-            wearer.follow(pose(float(fraction)))
-        report = wearer.settle()
+        with told_of(f"Sample {sample.name}", self._job.rig, self._job.garment):
+            wearer.begin(shape.positions, pose(0.0))
+            for fraction in wearer.fractions(pose(0.0), pose(1.0)):
+                wearer.follow(pose(float(fraction)))
+            report = wearer.settle()
         return self._write(path, SampleShape(wearer.positions, report))
 
     def _path(self, name: str) -> Path:
@@ -437,8 +439,14 @@ class Wearer:
             "iterations": sum(report.iterations for report in reports),
             "linear_iterations": sum(report.linear_iterations for report in reports),
             "untanglings": len(reports) - 1,
+            **({} if reports[-1].converged else {"restless": self._restless()}),
             **self.lie(),
         }
+
+    def _restless(self) -> str:
+        """Where the largest force is left."""
+        force = np.linalg.norm(self.simulation.residual()[0], axis=1)
+        return place_of(self.rig, self.garment, int(force.argmax()))
 
     def lie(self) -> dict[str, Any]:
         """How the garment lies: vertices more than 1 mm inside the body, the deepest [mm], pairs of its triangles that

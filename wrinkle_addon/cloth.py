@@ -20,6 +20,7 @@ from ..kernels.cloth import assembly
 from .cloth_contact import ContactSearch, ContactSettings, Limbs
 from .cloth_model import ClothModel, FloatArray
 from .cloth_state import ClothState, SettleReport, SolverSettings
+from .divergence import find_divergence, first_lost
 from .elasticity import Elasticity, membrane_of
 from .linear_solver import BlockSystem
 from .surface import BodyVolume, SurfaceMeasures
@@ -274,8 +275,9 @@ class ClothSimulation:
         self._moving.fill_(1)
         self._kept.zero_()
         rested = bool(residual.max() <= tolerance)
-        whole = float(self._rms_residual().max())
-        return SettleReport(float(residual.max()), whole, iteration, linear_total, rested)
+        whole = self._rms_residual()
+        self._check_numbers(whole)
+        return SettleReport(float(residual.max()), float(whole.max()), iteration, linear_total, rested)
 
     # Equilibrium
 
@@ -346,6 +348,7 @@ class ClothSimulation:
         step = self._system.solution.numpy().astype(np.float64)
         # A nearly singular Hessian asks for steps that its own linearisation does not bear.
         longest = np.linalg.norm(step, axis=2).max(1)
+        self._check_numbers(before, self._system.first_energy.numpy(), longest)
         length = np.minimum(1.0, settings.longest_step / np.maximum(longest, 1e-12))
         worse = np.zeros(self.world_count, bool)
         for _ in range(settings.line_search_halvings + 1):
@@ -359,6 +362,11 @@ class ClothSimulation:
             length[worse] = 0.0
             self._positions.assign(start + length[:, None, None] * step)
         return iterations, np.where(longest > 0.0, length, 0.0)
+
+    def _check_numbers(self, *measures: FloatArray) -> None:
+        """Stop before what is no number spreads; each measure of shape [world_count] stands for all vertices."""
+        if not np.isfinite(measures).all():
+            raise find_divergence(self.positions, self._gradient.numpy())
 
     def _linearise(self) -> None:
         """The linear system, and a preconditioner for it that no compressive stress makes indefinite."""
@@ -461,7 +469,7 @@ class ClothSimulation:
                 f"not {list(np.shape(values))}."
             )
         if not np.isfinite(array).all():
-            raise ValueError(f"{name} hold values that are not numbers.")
+            raise ValueError(f"{name} hold values that are not numbers, first at vertex {first_lost(array)}.")
         return np.ascontiguousarray(array)
 
     def _upload_garment(self, pin_stiffness: ArrayLike | None) -> assembly.Garment:

@@ -21,7 +21,7 @@ from .elastic_elements import (
 )
 from .fabrics import Fabric
 from .plate_bending import FloatArray, bending_matrix
-from .topology import IntArray, group, row_starts
+from .topology import IntArray, group, inner_edges, row_starts
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ def build_cloth_model(
             that turns a shell into a garment that can fold.
 
     Raises:
-        ValueError: If a triangle has no area.
+        ValueError: If a triangle has no area, or no two of them share an edge.
     """
     positions = np.asarray(positions, np.float64)
     faces = np.asarray(faces, np.int32)
@@ -113,6 +113,8 @@ def build_cloth_model(
     doubled = np.linalg.norm(normals, axis=1)
     if (doubled < 1e-12).any():
         raise ValueError(f"{int((doubled < 1e-12).sum())} triangles of the garment have no area; merge by distance.")
+    if not len(inner_edges(faces)[0]):
+        raise ValueError("No two faces of the garment share an edge; merge vertices by distance.")
     normals /= doubled[:, None]
     length = _in_plane(first if length_directions is None else length_directions, normals, first)
     warp = length if warp_directions is None else _in_plane(warp_directions, normals, length)

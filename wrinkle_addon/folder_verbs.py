@@ -55,7 +55,8 @@ def info(options: argparse.Namespace) -> Mapping[str, Any]:
     """What a database holds, what it weighs, and how its samples came out."""
     database = WrinkleDatabase.open(_folder(options))
     header = database.header
-    reports = [stored.report for _, stored in database.samples()]
+    named = [(sample.name, stored.report) for sample, stored in database.samples()]
+    reports = [report for _, report in named]
     stored = sum(sample_path(database.folder, header.key, sample).stat().st_size for sample in header.plan.samples)
     raw = header.plan.raw_bytes(header.garment.vertex_count)
     joints = {grid.joint.name: list(grid.shape) for grid in header.plan.grids}
@@ -71,6 +72,9 @@ def info(options: argparse.Namespace) -> Mapping[str, Any]:
         "times_smaller_than_raw": round(raw / max(stored, 1), 2),
         "worst_residual": max(residuals, default=None),
         "unconverged": sum(not report.get("converged", True) for report in reports),
+        "restless": {
+            name: report["restless"] for name, report in named if "restless" in report and "mirrored" not in report
+        },
         "inside": max((report.get("inside", 0) for report in reports), default=0),
         "self_intersections": max((report.get("self_intersections", 0) for report in reports), default=0),
     }
@@ -85,6 +89,7 @@ def info(options: argparse.Namespace) -> Mapping[str, Any]:
             f"  {result['unconverged']} samples did not come to rest; "
             f"the worst is {result['worst_residual']:.2g} nodal weights from equilibrium"
         )
+        lines += [f"    {name}, near {place}" for name, place in result["restless"].items()]
     return {**result, "text": "\n".join(lines)}
 
 

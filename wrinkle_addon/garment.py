@@ -19,6 +19,9 @@ from .topology import group
 INFLUENCES = 6
 """Bones that carry a garment vertex, at most."""
 
+BODY_SIZES = (0.3, 4.0)
+"""Sizes of a body that are taken for metres [m]."""
+
 
 @dataclass(frozen=True, eq=False)
 class SkinWeights:
@@ -234,6 +237,25 @@ def count_split_vertices(positions: FloatArray, faces: IntArray) -> int:
     open_vertices = np.unique(edges[counts == 1])
     _, there = np.unique(np.round(positions[open_vertices] * 1e6), axis=0, return_counts=True)
     return int(there[there > 1].sum())
+
+
+def check_body(body: Body) -> None:
+    """Refuse a body that no garment can be worn on.
+
+    Raises:
+        ValueError: One sentence that says what is wrong and what to do.
+    """
+    if not len(body.faces):
+        raise ValueError("The body has no faces; choose the mesh that the garment is worn on.")
+    lost = int((~np.isfinite(body.positions)).any(1).sum())
+    if lost:
+        raise ValueError(f"{lost} vertices of the body have positions that are not numbers; repair the mesh.")
+    size = float(np.ptp(body.positions, axis=0).max())
+    if not BODY_SIZES[0] < size < BODY_SIZES[1]:
+        raise ValueError(
+            f"The body is {size:.3g} m tall; "
+            "set the scene's unit scale, or the armature's, so that it has its true size."
+        )
 
 
 def check_fit(name: str, positions: FloatArray, body: Body, distance: NDArray[np.float32]) -> None:

@@ -27,6 +27,7 @@ class BlockSystem:
         blocks: One-ring Hessian blocks [N/m], shape [world_count, block_count].
         pair_stiffness: Stiffness of each self-contact pair [N/m], in the order of the contact's list.
         solution: Step found by :meth:`solve` [m], shape [world_count, vertex_count].
+        first_energy: Gradient times its preconditioned self at the start of :meth:`solve` [J], shape [world_count].
     """
 
     def __init__(
@@ -73,7 +74,7 @@ class BlockSystem:
         self.solution, self._residual, self._direction = vectors(), vectors(), vectors()
         self._preconditioned, self._product = vectors(), vectors()
         self._partial = wp.zeros((world_count, PARTS), dtype=wp.float64, device=device)
-        self._energy, self._first_energy = scalars(wp.float64), scalars(wp.float64)
+        self._energy, self.first_energy = scalars(wp.float64), scalars(wp.float64)
         self._alpha, self._beta = scalars(wp.float32), scalars(wp.float32)
         self._active, self._iterations = scalars(wp.int32), scalars(wp.int32)
 
@@ -157,7 +158,7 @@ class BlockSystem:
             linear.start_scalars,
             dim=self.shape[0],
             inputs=[self._partial, moving],
-            outputs=[self._energy, self._first_energy, self._active, self._iterations],
+            outputs=[self._energy, self.first_energy, self._active, self._iterations],
             device=self._device,
         )
         graph = self._recording(tolerance)
@@ -254,7 +255,7 @@ class BlockSystem:
             worlds,
             [
                 self._partial,
-                self._first_energy,
+                self.first_energy,
                 wp.float64(tolerance * tolerance),
                 self._energy,
                 self._active,

@@ -288,4 +288,5 @@ def precondition_diagonal(
         n = contact.pair_normal[pair]
         total += (w * w * pair_stiffness[pair]) * wp.outer(n, n)
     diagonal[world, vertex] = total
-    inverse[world, vertex] = wp.inverse(total)
+    # The determinant of a sliver's stiffness, 1e13 N/m and more, has no room in float32.
+    inverse[world, vertex] = wp.mat33(wp.inverse(wp.mat33d(total)))

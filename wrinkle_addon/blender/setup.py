@@ -13,6 +13,7 @@ from ..garment import (
     Body,
     SkinWeights,
     bind_to_surface,
+    check_body,
     check_fit,
     check_surface,
     count_split_vertices,
@@ -27,8 +28,6 @@ from .character import SamplingStage, apply, check_objects, read_garment, read_m
 LEAST_VERTICES = 10_000
 MOST_SUBDIVISIONS = 4
 SUFFIX = ".wrinkles"
-HEIGHTS = (0.3, 4.0)
-"""Sizes of a body that are taken for metres [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +84,7 @@ def setup_garment(
     check_objects(garment, body, armature)
     assert armature is not None
     with sampling_stage(armature, body) as stage:
-        check_size(stage)
+        check_body(stage.body)
         mesh = rest_mesh(garment, subdivide)
         try:
             # The artist's own mesh first: its faults are told in its own numbers.
@@ -119,20 +118,6 @@ def setup_garment(
     split = count_split_vertices(positions, faces)
     sewn = f"{split} vertices of '{garment.name}' lie where others do and will come apart; merge vertices by distance."
     return SetupResult(fine, search, tuple(joint.name for joint in used), (*search.notes, *([sewn] if split else [])))
-
-
-def check_size(stage: SamplingStage) -> None:
-    """Refuse a body of a size that no cloth would fall right on.
-
-    Raises:
-        ValueError: One sentence with the size and the remedy.
-    """
-    size = float(np.ptp(stage.body.positions, axis=0).max())
-    if not HEIGHTS[0] < size < HEIGHTS[1]:
-        raise ValueError(
-            f"The body is {size:.3g} m tall; "
-            "set the scene's unit scale, or the armature's, so that it has its true size."
-        )
 
 
 def rest_mesh(garment: bpy.types.Object, subdivide: int | None) -> bpy.types.Mesh:

@@ -146,6 +146,7 @@ def _reporter(kind: str) -> Callable[[BakeEvent], None]:
         left = "" if math.isnan(event.remaining) else f", {event.remaining / 60:.1f} min left"
         residual = event.report.get("residual")
         note = f", residual {residual:.2g}" if residual is not None else ""
+        note += f", not at rest near {event.report['restless']}" if "restless" in event.report else ""
         say(f"[{event.done}/{event.total}] {event.name}: {event.seconds:.1f} s{note}{left}")
 
     return as_json if kind == "json" else as_text
