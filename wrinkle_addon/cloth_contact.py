@@ -302,8 +302,7 @@ class ContactSearch:
         thickness = self.settings.self_thickness
         self._reach = self_contact.REACH_THICKNESSES * thickness
         rest_reach = self_contact.REST_THICKNESSES * thickness
-        edges = wp.array(edges, dtype=wp.int32, device=self._device)
-        self._lists = VerletLists(model, self._faces, edges, worlds, self._reach, rest_reach)
+        self._lists = VerletLists(model, self._faces, worlds, self._reach, rest_reach)
         self._partner = self._zeros(0, wp.int32)
         owners = len(self._lists.count)
         self._pair_count, self._pair_start, self._pair_end = (self._zeros(owners, wp.int32) for _ in range(3))

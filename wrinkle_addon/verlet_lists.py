@@ -1,4 +1,4 @@
-"""Host side of the Verlet lists: remembers what the garment may come to touch of itself, and when to look again."""
+"""Host side of the Verlet lists: remembers what the garment may come to touch of itself, and where to look again."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from ..kernels.cloth import verlet_lists as kernels
 from .cloth_model import ClothModel
+from .topology import mesh_edges
 
-# Lists hold what is within reach and this many reaches more: wider ones last longer, but take longer to go through.
+# Lists hold what is within reach and this many reaches more: longer rows last longer, but take longer to go through.
 MARGIN_REACHES = 1.0
 # Of the margin, what float32 may lose [m] at lengths up to 10 m.
 ROUNDING = 1.0e-5
@@ -26,79 +28,94 @@ class VerletLists:
             Owners are world * vertex_count + vertex, and after those of all worlds world * edge_count + edge.
     """
 
-    def __init__(
-        self, model: ClothModel, faces: wp.array, edges: wp.array, world_count: int, reach: float, rest_reach: float
-    ):
+    def __init__(self, model: ClothModel, faces: wp.array, world_count: int, reach: float, rest_reach: float):
         """``reach``: within which everything is found [m]; ``rest_reach``: within which neighbours at rest are not."""
         self._device = faces.device
-        self._faces, self.edges = faces, edges
         self._margin = MARGIN_REACHES * reach
         self._reaches = [reach + self._margin, rest_reach]
+        edges, edge_of_side = mesh_edges(model.faces)
+        self._faces = faces
+        self.edges = wp.array(edges, dtype=wp.int32, device=self._device)
+        self._edge_of_side = wp.array(edge_of_side, dtype=wp.int32, device=self._device)
         rest = np.ascontiguousarray(model.rest_positions[None].astype(np.float32))
         self._rest_points = wp.array(rest, dtype=wp.vec3, device=self._device)
-        self.points = wp.array(np.repeat(rest, world_count, 0), dtype=wp.vec3, device=self._device)
-        self._listed = wp.full(self.points.shape, wp.vec3(np.nan), dtype=wp.vec3, device=self._device)
-        self._make_trees(world_count)
-        owners = world_count * (model.vertex_count + len(edges))
-        self.count, self._room = (wp.zeros(owners, dtype=wp.int32, device=self._device) for _ in range(2))
-        self.start = wp.zeros(owners + 1, dtype=wp.int32, device=self._device)
-        self.candidates = wp.zeros(0, dtype=wp.int32, device=self._device)
-        self._flag = wp.zeros(1, dtype=wp.int32, device=self._device)
+        self._make_trees(np.repeat(rest, world_count, 0))
+        self.points = self._zeros(self._listed.shape, wp.vec3)
+        self._moved = self._zeros(self.points.shape, wp.int32)
+        owners = self.points.size + self._lower.size
+        self.count, self._room, self._renewed = (self._zeros(owners, wp.int32) for _ in range(3))
+        self.start, self.candidates = self._zeros(owners + 1, wp.int32), self._zeros(0, wp.int32)
+        self._lacking = self._zeros(1, wp.int32)
 
     def update(self, positions: wp.array) -> None:
-        """Put the garment here (float64 [m]); the lists are made anew if any vertex has moved too far for them.
+        """Put the garment here (float64 [m]) and renew the rows around the vertices that have moved too far for them.
 
-        Two that come within reach have each moved by less than half the margin, so they were within reach and margin
-        of each other when the lists were made. So what is found through the lists does not depend on their age.
+        Whatever comes within reach has moved by less than half the margin on both sides from its listed points, where
+        it was within reach and margin. So what is found through the rows does not depend on their age.
         """
+        shape = self.points.shape
         limit = 0.5 * self._margin - ROUNDING
-        moved = [self.points, self._flag]
-        self._flag.zero_()
-        self._launch(kernels.move_points, self.points.shape, [positions, self._listed, limit], moved)
-        if self._flag.numpy()[0]:
-            self._refit()
-            self._list()
-            wp.copy(self._listed, self.points)
-
-    def _refit(self) -> None:
+        self._launch(kernels.move_points, shape, [positions, limit], [self.points, self._listed, self._moved])
         self._bound_edges()
         for tree in (*self._meshes, *self._edge_trees):
             tree.refit()
+        self._renewed.zero_()
+        around = [self._listed, self._moved, self._faces, self._edge_of_side, self._mesh_ids, self._reaches[0]]
+        self._launch(kernels.mark_rows, (shape[0], len(self._faces)), around, [*self._by_kind(self._renewed)])
+        self._list()
+        while self._rows_lack_room():
+            self._widen_rows()
+            self._list()
 
     def _list(self) -> None:
-        """Fill the rows, and once more where their room was too small."""
-        shape = self.points.shape
-        vertices = shape[0] * shape[1]
-        points = [self.points, self._rest_points]
-        near = [*points, self._faces, self._mesh_ids, *self._reaches, self.start[: vertices + 1]]
-        crossing = [*points, self.edges, self._tree_ids, *self._reaches, self.start[vertices:]]
-        while True:
-            self._launch(kernels.list_triangles, shape, near, [self.count[:vertices], self.candidates])
-            self._launch(kernels.list_edges, self._lower.shape, crossing, [self.count[vertices:], self.candidates])
-            self._flag.zero_()
-            self._launch(kernels.widen_rows, len(self.count), [self.start, self.count], [self._room, self._flag])
-            if not self._flag.numpy()[0]:
-                return
-            wp.utils.array_scan(self._room, self.start[1:], inclusive=True)
-            total = int(self.start[-1:].numpy()[0])
-            if total > len(self.candidates):
-                self.candidates = wp.zeros(total + total // 2, dtype=wp.int32, device=self._device)
+        """Renew the rows that are marked."""
+        vertices = self.points.size
+        points = [self._listed, self._rest_points]
+        of_vertices, of_edges = self._by_kind(self._renewed)
+        near = [*points, self._faces, self._mesh_ids, *self._reaches, of_vertices, self.start[: vertices + 1]]
+        crossing = [*points, self.edges, self._tree_ids, *self._reaches, of_edges, self.start[vertices:]]
+        self._launch(kernels.list_triangles, of_vertices.shape, near, [self.count[:vertices], self.candidates])
+        self._launch(kernels.list_edges, of_edges.shape, crossing, [self.count[vertices:], self.candidates])
 
-    def _make_trees(self, world_count: int) -> None:
-        """Bounding volume trees of each world's triangles and of its edges."""
+    def _rows_lack_room(self) -> bool:
+        """Whether any row does; marks those that do."""
+        self._lacking.zero_()
+        found = [self._room, self._renewed, self._lacking]
+        self._launch(kernels.find_lacking, len(self.count), [self.start, self.count], found)
+        return bool(self._lacking.numpy()[0])
+
+    def _widen_rows(self) -> None:
+        old = [wp.clone(self.start), self.candidates]
+        wp.utils.array_scan(self._room, self.start[1:], inclusive=True)
+        self.candidates = self._zeros(int(self.start[-1:].numpy()[0]), wp.int32)
+        now = [self._renewed, self.start, self.count]
+        self._launch(kernels.move_rows, len(self.count), [*old, *now], [self.candidates])
+
+    def _by_kind(self, owners: wp.array) -> tuple[wp.array, wp.array]:
+        """Views of what is known of all owners: of the vertices and of the edges, each with the worlds first."""
+        vertices = self.points.size
+        return owners[:vertices].reshape(self.points.shape), owners[vertices:].reshape(self._lower.shape)
+
+    def _make_trees(self, points: NDArray[np.float32]) -> None:
+        """Bounding volume trees of each world's triangles and of its edges, over points of which none is listed yet."""
+        worlds = range(len(points))
+        self._listed = wp.array(points, dtype=wp.vec3, device=self._device)
         indices = wp.array(self._faces.numpy().ravel(), dtype=wp.int32, device=self._device)
-        shape = (world_count, len(self.edges))
-        self._lower, self._upper = (wp.zeros(shape, dtype=wp.vec3, device=self._device) for _ in range(2))
+        self._lower, self._upper = (self._zeros((len(points), len(self.edges)), wp.vec3) for _ in range(2))
         self._bound_edges()
-        self._meshes = [wp.Mesh(points=self.points[world], indices=indices) for world in range(world_count)]
-        self._edge_trees = [wp.Bvh(self._lower[world], self._upper[world]) for world in range(world_count)]
+        self._meshes = [wp.Mesh(points=self._listed[world], indices=indices) for world in worlds]
+        self._edge_trees = [wp.Bvh(self._lower[world], self._upper[world]) for world in worlds]
         self._mesh_ids, self._tree_ids = (
             wp.array([tree.id for tree in trees], dtype=wp.uint64, device=self._device)
             for trees in (self._meshes, self._edge_trees)
         )
+        self._listed.fill_(wp.vec3(np.nan))
 
     def _bound_edges(self) -> None:
-        self._launch(kernels.edge_boxes, self._lower.shape, [self.points, self.edges], [self._lower, self._upper])
+        self._launch(kernels.edge_boxes, self._lower.shape, [self._listed, self.edges], [self._lower, self._upper])
+
+    def _zeros(self, shape: tuple[int, ...] | int, dtype: type) -> wp.array:
+        return wp.zeros(shape, dtype=dtype, device=self._device)
 
     def _launch(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._device)

@@ -1,8 +1,10 @@
 """Verlet lists of self-contact: what a vertex or an edge may come to touch while nothing moves far (Verlet 1967).
 
-Each owner has a row of candidates, ascending: a vertex of triangles, an edge of later edges. What comes within reach
-before any vertex has moved by half the margin is sure to be among them. A candidate is left out only if a plane keeps
-it farther off than reach and margin, which holds however roughly the closest points were found.
+Each owner has a row of candidates, ascending: a vertex of triangles, an edge of later edges. Rows hold all that is
+within reach and margin at the listed points. A vertex that gets half the margin away from its listed point takes that
+point along, and only the rows around it are renewed: so what comes within reach is always among the candidates. One is
+left out only if a plane keeps it farther off than reach and margin, which holds however roughly the closest points
+were found.
 """
 
 import warp as wp
@@ -16,19 +18,21 @@ wp.set_module_options({"enable_backward": False})
 @wp.kernel
 def move_points(
     positions: wp.array2d[wp.vec3d],
-    listed: wp.array2d[wp.vec3],
     limit: wp.float32,
     # outputs
     points: wp.array2d[wp.vec3],
-    stale: wp.array[wp.int32],
+    listed: wp.array2d[wp.vec3],
+    moved: wp.array2d[wp.int32],
 ):
-    """Positions as float32 [m], and whether any is farther than ``limit`` [m] from where the lists were made."""
+    """Positions as float32 [m]; those farther than ``limit`` [m] from their listed points move these, too."""
     world, vertex = wp.tid()
     point = wp.vec3(positions[world, vertex])
     points[world, vertex] = point
-    # Also where no list was made yet: those points are not numbers.
+    moved[world, vertex] = 0
+    # Also what was never listed: its listed point is not a number.
     if not (wp.length(point - listed[world, vertex]) <= limit):
-        stale[0] = 1
+        listed[world, vertex] = point
+        moved[world, vertex] = 1
 
 
 @wp.kernel
@@ -45,6 +49,49 @@ def edge_boxes(
     q = points[world, edges[edge, 1]]
     lower[world, edge] = wp.min(p, q)
     upper[world, edge] = wp.max(p, q)
+
+
+@wp.func
+def boxes_meet(lower: wp.vec3, upper: wp.vec3, p: wp.vec3, q: wp.vec3) -> wp.bool:
+    """Whether a box and that of the points p and q have a point in common."""
+    least = wp.min(p, q) - upper
+    most = lower - wp.max(p, q)
+    return wp.max(least) <= 0.0 and wp.max(most) <= 0.0
+
+
+@wp.kernel
+def mark_rows(
+    listed: wp.array2d[wp.vec3],
+    moved: wp.array2d[wp.int32],
+    faces: wp.array2d[wp.int32],
+    edge_of_side: wp.array2d[wp.int32],
+    meshes: wp.array[wp.uint64],
+    reach: wp.float32,
+    # outputs
+    vertex_renewed: wp.array2d[wp.int32],
+    edge_renewed: wp.array2d[wp.int32],
+):
+    """Mark the vertices and edges that may be within ``reach`` [m] of a triangle one of whose vertices has moved."""
+    world, face = wp.tid()
+    a = faces[face, 0]
+    b = faces[face, 1]
+    c = faces[face, 2]
+    if moved[world, a] + moved[world, b] + moved[world, c] == 0:
+        return
+    box = wp.vec3(reach, reach, reach)
+    lower = wp.min(wp.min(listed[world, a], listed[world, b]), listed[world, c]) - box
+    upper = wp.max(wp.max(listed[world, a], listed[world, b]), listed[world, c]) + box
+    query = wp.mesh_query_aabb(meshes[world], lower, upper)
+    near = wp.int32(0)
+    while wp.mesh_query_aabb_next(query, near):
+        for corner in range(3):
+            vertex = faces[near, corner]
+            p = listed[world, vertex]
+            if boxes_meet(lower, upper, p, p):
+                vertex_renewed[world, vertex] = 1
+            # The triangle's sides are 01, 12, 20.
+            if boxes_meet(lower, upper, p, listed[world, faces[near, (corner + 1) % 3]]):
+                edge_renewed[world, edge_of_side[near, corner]] = 1
 
 
 @wp.func
@@ -125,16 +172,19 @@ def list_triangles(
     meshes: wp.array[wp.uint64],
     reach: wp.float32,
     rest_reach: wp.float32,
+    renewed: wp.array2d[wp.int32],
     start: wp.array[wp.int32],
     # outputs
     count: wp.array[wp.int32],
     candidates: wp.array[wp.int32],
 ):
-    """Triangles that may be within ``reach`` [m] of each vertex; row world * vertex_count + vertex.
+    """Triangles that may be within ``reach`` [m] of each vertex to renew; row world * vertex_count + vertex.
 
-    Rows that lack room are counted all the same.
+    What finds no room is counted all the same.
     """
     world, vertex = wp.tid()
+    if renewed[world, vertex] == 0:
+        return
     owner = world * points.shape[1] + vertex
     begin = start[owner]
     room = start[owner + 1] - begin
@@ -159,16 +209,19 @@ def list_edges(
     trees: wp.array[wp.uint64],
     reach: wp.float32,
     rest_reach: wp.float32,
+    renewed: wp.array2d[wp.int32],
     start: wp.array[wp.int32],
     # outputs
     count: wp.array[wp.int32],
     candidates: wp.array[wp.int32],
 ):
-    """Later edges that may be within ``reach`` [m] of each edge; row world * edge_count + edge.
+    """Later edges that may be within ``reach`` [m] of each edge to renew; row world * edge_count + edge.
 
-    Rows that lack room are counted all the same.
+    What finds no room is counted all the same.
     """
     world, edge = wp.tid()
+    if renewed[world, edge] == 0:
+        return
     owner = world * edges.shape[0] + edge
     begin = start[owner]
     room = start[owner + 1] - begin
@@ -187,16 +240,36 @@ def list_edges(
 
 
 @wp.kernel
-def widen_rows(
+def find_lacking(
     start: wp.array[wp.int32],
     count: wp.array[wp.int32],
     # outputs
     room: wp.array[wp.int32],
+    renewed: wp.array[wp.int32],
     lacking: wp.array[wp.int32],
 ):
-    """Room that each row needs, with some to spare where it lacks any, and whether any does."""
+    """Mark the rows that have not enough room, and no others; and how much room to give each."""
     owner = wp.tid()
     room[owner] = start[owner + 1] - start[owner]
+    renewed[owner] = 0
     if count[owner] > room[owner]:
-        room[owner] = count[owner] + count[owner] / 2 + 2
+        room[owner] = 2 * count[owner]
+        renewed[owner] = 1
         lacking[0] = 1
+
+
+@wp.kernel
+def move_rows(
+    old_start: wp.array[wp.int32],
+    old_candidates: wp.array[wp.int32],
+    renewed: wp.array[wp.int32],
+    start: wp.array[wp.int32],
+    count: wp.array[wp.int32],
+    # outputs
+    candidates: wp.array[wp.int32],
+):
+    """Bring the rows that are not marked to their new place."""
+    owner = wp.tid()
+    if renewed[owner] == 0:
+        for k in range(count[owner]):
+            candidates[start[owner] + k] = old_candidates[old_start[owner] + k]

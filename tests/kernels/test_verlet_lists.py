@@ -64,15 +64,15 @@ class Layers:
         self.outward = self.rng.normal(size=self.start.shape)
         self.outward /= np.linalg.norm(self.outward, axis=2, keepdims=True)
         self.simulation = self.new_simulation()
-        self.rebuilt = 0
-        lists = self.simulation._contact._lists
-        make = lists._list
+        self.lists = self.simulation._contact._lists
+        self.renewed = []
+        search = self.lists._list
 
-        def count_and_make():
-            self.rebuilt += 1
-            make()
+        def search_and_note():
+            self.renewed.append([marks.numpy().copy() for marks in self.lists._by_kind(self.lists._renewed)])
+            search()
 
-        lists._list = count_and_make
+        self.lists._list = search_and_note
 
     def new_simulation(self):
         body, body_faces = sphere(0.1, 0)
@@ -100,7 +100,7 @@ class Layers:
 
     def all_pairs(self):
         """Vertices of all pairs at the present place, found by trying every vertex, triangle and edge."""
-        lists, contact = self.simulation._contact._lists, self.simulation._contact
+        lists, contact = self.lists, self.simulation._contact
         vertices = self.start.shape[1]
         found = []
         for kernel, parts, owners in (
@@ -120,8 +120,22 @@ def same(first, second):
     return all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
 
 
+def crumple(rng, positions, size):
+    return size * rng.normal(size=positions.shape)
+
+
+def drift(rng, positions, size):
+    return np.cross(size * rng.normal(size=3) / 0.03, positions) + size * rng.normal(size=3)
+
+
+def poke(rng, positions, size):
+    distance = np.linalg.norm(positions - positions[rng.integers(len(positions))], axis=1)
+    return np.where(distance < 0.006, 1.0, 0.0)[:, None] * size * rng.normal(size=3)
+
+
 @pytest.mark.parametrize("size", [2e-5, 3e-4, 2e-3, 2e-2], ids=["tiny", "small", "large", "huge"])
-def test_pairs_after_any_move_are_those_of_trying_everything(device, size):
+@pytest.mark.parametrize("moves", [(crumple, drift), (poke, crumple), (poke, poke)], ids=lambda m: m[0].__name__)
+def test_pairs_after_any_moves_are_those_of_trying_everything(device, moves, size):
     layers = Layers(device, 2)
     positions, totals = layers.start, set()
     for _ in range(12):
@@ -129,32 +143,37 @@ def test_pairs_after_any_move_are_those_of_trying_everything(device, size):
         assert np.array_equal(pairs[0], layers.all_pairs())
         assert same(pairs, layers.pairs(positions, layers.new_simulation()))
         totals.add(len(pairs[0]))
-        # One world crumples while the other one drifts and turns; what spreads too far is gathered again.
-        turn = size * layers.rng.normal(size=3) / 0.03
-        drift = np.cross(turn, positions[1]) + size * layers.rng.normal(size=3)
-        crumple = size * layers.rng.normal(size=positions[0].shape)
-        positions = 0.9 * (positions + np.stack([crumple, drift])) + 0.1 * layers.start
+        moved = [move(layers.rng, x, size) for move, x in zip(moves, positions, strict=True)]
+        # What spreads is gathered again.
+        positions = positions + np.array(moved)
+        positions = np.where(np.abs(positions - layers.start) < 0.02, positions, layers.start)
     assert len(totals) > 1 and min(totals) > 0
-    # Small moves leave the lists as they are; large ones do not.
-    assert layers.rebuilt < 6 if size < 1e-3 else layers.rebuilt == 12
 
 
-def test_lists_last_until_a_vertex_of_any_world_has_moved_by_half_the_margin(device):
+def test_only_rows_near_what_has_moved_by_half_the_margin_are_renewed(device):
     layers = Layers(device, 2)
-    lists = layers.simulation._contact._lists
+    lists = layers.lists
     positions = layers.start.copy()
     layers.pairs(positions)
-    for share, rebuilt in ((0.4, 1), (0.49, 1), (-0.49, 1), (0.51, 2), (0.9, 2), (1.1, 3)):
-        # By its distance from where the lists were made, not by the length of its way.
+    assert all(marks.all() for marks in layers.renewed[0])
+    for share, moved in ((0.4, 0), (0.49, 0), (-0.49, 0), (0.51, 1), (0.9, 0), (1.1, 1)):
+        # By its distance from where it is listed, not by the length of its way.
         positions[1, 5, 0] = layers.start[1, 5, 0] + share * lists._margin
+        layers.renewed.clear()
         layers.pairs(positions)
-        assert layers.rebuilt == rebuilt
+        assert lists._moved.numpy().sum() == moved
+        # Rows that lack room are renewed once more, those around the vertex first.
+        renewed = layers.renewed[0][0]
+        assert not renewed[0].any() and renewed[1, 5] == moved
+        distance = np.linalg.norm(positions[1] - positions[1, 5], axis=1)
+        # Its triangles reach as far as their neighbours, 6 mm, and those reach on.
+        assert not renewed[1][distance > 0.008 + np.sqrt(3.0) * lists._reaches[0]].any()
 
 
 def test_a_pair_that_comes_from_the_end_of_the_margin_is_found(device):
     """All vertices of the upper layer fall by just less than half the margin, those of the lower one rise as much."""
     layers = Layers(device, 1)
-    lists = layers.simulation._contact._lists
+    lists = layers.lists
     upper = np.arange(layers.start.shape[1]) >= layers.start.shape[1] // 2
     flat = layers.model.rest_positions * [1.0, 1.0, 0.0]
     flat[:, :2] += upper[:, None] * [0.0011, 0.0007]
@@ -163,6 +182,6 @@ def test_a_pair_that_comes_from_the_end_of_the_margin_is_found(device):
     assert not len(layers.pairs(flat + np.outer(upper, [0.0, 0.0, apart]))[0])
     near = flat + np.outer(upper, [0.0, 0.0, apart - half]) + np.outer(~upper, [0.0, 0.0, half])
     pairs = layers.pairs(near)
-    assert layers.rebuilt == 1
+    assert not lists._moved.numpy().any()
     assert len(pairs[0]) > 100
     assert np.array_equal(pairs[0], layers.all_pairs())
