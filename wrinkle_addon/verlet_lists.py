@@ -33,10 +33,9 @@ class VerletLists:
         self._device = faces.device
         self._margin = MARGIN_REACHES * reach
         self._reaches = [reach + self._margin, rest_reach]
-        edges, edge_of_side = mesh_edges(model.faces)
+        edges, _ = mesh_edges(model.faces)
         self._faces = faces
         self.edges = wp.array(edges, dtype=wp.int32, device=self._device)
-        self._edge_of_side = wp.array(edge_of_side, dtype=wp.int32, device=self._device)
         rest = np.ascontiguousarray(model.rest_positions[None].astype(np.float32))
         self._rest_points = wp.array(rest, dtype=wp.vec3, device=self._device)
         self._make_trees(np.repeat(rest, world_count, 0))
@@ -57,23 +56,32 @@ class VerletLists:
         limit = 0.5 * self._margin - ROUNDING
         self._launch(kernels.move_points, shape, [positions, limit], [self.points, self._listed, self._moved])
         self._bound_edges()
-        for tree in (*self._meshes, *self._edge_trees):
+        for tree in (*self._triangle_trees, *self._edge_trees, *self._vertex_trees):
             tree.refit()
-        self._renewed.zero_()
-        around = [self._listed, self._moved, self._faces, self._edge_of_side, self._mesh_ids, self._reaches[0]]
-        self._launch(kernels.mark_rows, (shape[0], len(self._faces)), around, [*self._by_kind(self._renewed)])
+        self._mark()
         self._list()
         while self._rows_lack_room():
             self._widen_rows()
             self._list()
+
+    def _mark(self) -> None:
+        """Mark the rows that what has moved may have got into or left."""
+        self._renewed.zero_()
+        of_vertices, of_edges = self._by_kind(self._renewed)
+        points, reaches = [self._listed, self._rest_points], [*self._reaches, self._moved]
+        faces_shape = (len(self._listed), len(self._faces))
+        self._launch(
+            kernels.mark_vertices, faces_shape, [*points, self._faces, self._vertex_ids, *reaches], [of_vertices]
+        )
+        self._launch(kernels.mark_edges, of_edges.shape, [*points, self.edges, self._edge_ids, *reaches], [of_edges])
 
     def _list(self) -> None:
         """Renew the rows that are marked."""
         vertices = self.points.size
         points = [self._listed, self._rest_points]
         of_vertices, of_edges = self._by_kind(self._renewed)
-        near = [*points, self._faces, self._mesh_ids, *self._reaches, of_vertices, self.start[: vertices + 1]]
-        crossing = [*points, self.edges, self._tree_ids, *self._reaches, of_edges, self.start[vertices:]]
+        near = [*points, self._faces, self._triangle_ids, *self._reaches, of_vertices, self.start[: vertices + 1]]
+        crossing = [*points, self.edges, self._edge_ids, *self._reaches, of_edges, self.start[vertices:]]
         self._launch(kernels.list_triangles, of_vertices.shape, near, [self.count[:vertices], self.candidates])
         self._launch(kernels.list_edges, of_edges.shape, crossing, [self.count[vertices:], self.candidates])
 
@@ -97,17 +105,18 @@ class VerletLists:
         return owners[:vertices].reshape(self.points.shape), owners[vertices:].reshape(self._lower.shape)
 
     def _make_trees(self, points: NDArray[np.float32]) -> None:
-        """Bounding volume trees of each world's triangles and of its edges, over points of which none is listed yet."""
+        """Bounding volume trees of each world's triangles, edges and vertices, of which none is listed yet."""
         worlds = range(len(points))
         self._listed = wp.array(points, dtype=wp.vec3, device=self._device)
         indices = wp.array(self._faces.numpy().ravel(), dtype=wp.int32, device=self._device)
         self._lower, self._upper = (self._zeros((len(points), len(self.edges)), wp.vec3) for _ in range(2))
         self._bound_edges()
-        self._meshes = [wp.Mesh(points=self._listed[world], indices=indices) for world in worlds]
+        self._triangle_trees = [wp.Mesh(points=self._listed[world], indices=indices) for world in worlds]
         self._edge_trees = [wp.Bvh(self._lower[world], self._upper[world]) for world in worlds]
-        self._mesh_ids, self._tree_ids = (
+        self._vertex_trees = [wp.Bvh(self._listed[world], self._listed[world]) for world in worlds]
+        self._triangle_ids, self._edge_ids, self._vertex_ids = (
             wp.array([tree.id for tree in trees], dtype=wp.uint64, device=self._device)
-            for trees in (self._meshes, self._edge_trees)
+            for trees in (self._triangle_trees, self._edge_trees, self._vertex_trees)
         )
         self._listed.fill_(wp.vec3(np.nan))
 

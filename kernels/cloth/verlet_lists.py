@@ -14,6 +14,9 @@ from .self_contact import closest_points_of_edges, edge_point
 
 wp.set_module_options({"enable_backward": False})
 
+# Rows are given room for so many more candidates than twice those they have.
+SPARE = wp.constant(4)
+
 
 @wp.kernel
 def move_points(
@@ -49,49 +52,6 @@ def edge_boxes(
     q = points[world, edges[edge, 1]]
     lower[world, edge] = wp.min(p, q)
     upper[world, edge] = wp.max(p, q)
-
-
-@wp.func
-def boxes_meet(lower: wp.vec3, upper: wp.vec3, p: wp.vec3, q: wp.vec3) -> wp.bool:
-    """Whether a box and that of the points p and q have a point in common."""
-    least = wp.min(p, q) - upper
-    most = lower - wp.max(p, q)
-    return wp.max(least) <= 0.0 and wp.max(most) <= 0.0
-
-
-@wp.kernel
-def mark_rows(
-    listed: wp.array2d[wp.vec3],
-    moved: wp.array2d[wp.int32],
-    faces: wp.array2d[wp.int32],
-    edge_of_side: wp.array2d[wp.int32],
-    meshes: wp.array[wp.uint64],
-    reach: wp.float32,
-    # outputs
-    vertex_renewed: wp.array2d[wp.int32],
-    edge_renewed: wp.array2d[wp.int32],
-):
-    """Mark the vertices and edges that may be within ``reach`` [m] of a triangle one of whose vertices has moved."""
-    world, face = wp.tid()
-    a = faces[face, 0]
-    b = faces[face, 1]
-    c = faces[face, 2]
-    if moved[world, a] + moved[world, b] + moved[world, c] == 0:
-        return
-    box = wp.vec3(reach, reach, reach)
-    lower = wp.min(wp.min(listed[world, a], listed[world, b]), listed[world, c]) - box
-    upper = wp.max(wp.max(listed[world, a], listed[world, b]), listed[world, c]) + box
-    query = wp.mesh_query_aabb(meshes[world], lower, upper)
-    near = wp.int32(0)
-    while wp.mesh_query_aabb_next(query, near):
-        for corner in range(3):
-            vertex = faces[near, corner]
-            p = listed[world, vertex]
-            if boxes_meet(lower, upper, p, p):
-                vertex_renewed[world, vertex] = 1
-            # The triangle's sides are 01, 12, 20.
-            if boxes_meet(lower, upper, p, listed[world, faces[near, (corner + 1) % 3]]):
-                edge_renewed[world, edge_of_side[near, corner]] = 1
 
 
 @wp.func
@@ -152,6 +112,69 @@ def edges_may_touch(
     rest = closest_points_of_edges(rest_points[0, i], rest_points[0, j], rest_points[0, k], rest_points[0, m])
     apart = edge_point(rest_points, edges, 0, edge, rest[0]) - edge_point(rest_points, edges, 0, other, rest[1])
     return wp.length(apart) > rest_reach
+
+
+@wp.kernel
+def mark_vertices(
+    listed: wp.array2d[wp.vec3],
+    rest_points: wp.array2d[wp.vec3],
+    faces: wp.array2d[wp.int32],
+    trees: wp.array[wp.uint64],
+    reach: wp.float32,
+    rest_reach: wp.float32,
+    moved: wp.array2d[wp.int32],
+    # outputs
+    renewed: wp.array2d[wp.int32],
+):
+    """Mark the vertices that have moved, and those that a triangle that has moved may be near."""
+    world, face = wp.tid()
+    i = faces[face, 0]
+    j = faces[face, 1]
+    k = faces[face, 2]
+    if moved[world, i] + moved[world, j] + moved[world, k] == 0:
+        return
+    a = listed[world, i]
+    b = listed[world, j]
+    c = listed[world, k]
+    box = wp.vec3(reach, reach, reach)
+    query = wp.bvh_query_aabb(trees[world], wp.min(wp.min(a, b), c) - box, wp.max(wp.max(a, b), c) + box)
+    vertex = wp.int32(0)
+    while wp.bvh_query_next(query, vertex):
+        if moved[world, vertex] == 1:
+            renewed[world, vertex] = 1
+        elif vertex_may_touch(listed, rest_points, faces, world, vertex, face, reach, rest_reach):
+            renewed[world, vertex] = 1
+
+
+@wp.kernel
+def mark_edges(
+    listed: wp.array2d[wp.vec3],
+    rest_points: wp.array2d[wp.vec3],
+    edges: wp.array2d[wp.int32],
+    trees: wp.array[wp.uint64],
+    reach: wp.float32,
+    rest_reach: wp.float32,
+    moved: wp.array2d[wp.int32],
+    # outputs
+    renewed: wp.array2d[wp.int32],
+):
+    """Mark the edges that have moved, and earlier ones that one of these may be near."""
+    world, edge = wp.tid()
+    i = edges[edge, 0]
+    j = edges[edge, 1]
+    if moved[world, i] + moved[world, j] == 0:
+        return
+    renewed[world, edge] = 1
+    p = listed[world, i]
+    q = listed[world, j]
+    box = wp.vec3(reach, reach, reach)
+    query = wp.bvh_query_aabb(trees[world], wp.min(p, q) - box, wp.max(p, q) + box)
+    other = wp.int32(0)
+    while wp.bvh_query_next(query, other):
+        if other < edge and moved[world, edges[other, 0]] + moved[world, edges[other, 1]] == 0:
+            # In the order in which the other's row will ask.
+            if edges_may_touch(listed, rest_points, edges, world, other, edge, reach, rest_reach):
+                renewed[world, other] = 1
 
 
 @wp.func
@@ -250,10 +273,10 @@ def find_lacking(
 ):
     """Mark the rows that have not enough room, and no others; and how much room to give each."""
     owner = wp.tid()
-    room[owner] = start[owner + 1] - start[owner]
+    has = start[owner + 1] - start[owner]
+    room[owner] = wp.max(has, 2 * count[owner] + SPARE)
     renewed[owner] = 0
-    if count[owner] > room[owner]:
-        room[owner] = 2 * count[owner]
+    if count[owner] > has:
         renewed[owner] = 1
         lacking[0] = 1
 
