@@ -12,8 +12,8 @@ from ..kernels.cloth import verlet_lists as kernels
 from .cloth_model import ClothModel
 from .topology import mesh_edges
 
-# Lists hold what is within reach and this many reaches more: longer rows last longer, but take longer to go through.
-MARGIN_REACHES = 1.0
+# Rows hold what is within reach and this many reaches more: longer rows last longer, but take longer to renew and read.
+MARGIN_REACHES = 0.5
 # Of the margin, what float32 may lose [m] at lengths up to 10 m.
 ROUNDING = 1.0e-5
 
