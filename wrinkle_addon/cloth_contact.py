@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..kernels.cloth import assembly, body_surface, contact, contact_planes, self_contact
 from .cloth_model import ClothModel, FloatArray, IntArray
 from .topology import group, mesh_edges, triangles_beside
+from .verlet_lists import VerletLists
 
 
 @dataclass(frozen=True)
@@ -214,35 +215,35 @@ class ContactSearch:
 
     def _find_pairs(self, positions: wp.array) -> None:
         """List the pairs of vertices and triangles and of edges within reach."""
-        c = self.frozen
-        worlds, vertices = self._shape
-        thickness, pressure = self.settings.self_thickness, wp.float64(self.settings.pressure)
-        reaches = [self_contact.REACH_THICKNESSES * thickness, self_contact.REST_THICKNESSES * thickness]
-        self._launch(self_contact.to_single, self._shape, [positions], [self._points])
-        edges_shape = self._edge_lower.shape
-        self._launch(
-            self_contact.edge_boxes, edges_shape, [self._points, self._edges], [self._edge_lower, self._edge_upper]
-        )
-        for tree in (*self._garment_meshes, *self._edge_trees):
-            tree.refit()
-        points = [self._points, self._rest_points]
-        near = [*points, self._faces, self._garment_ids, self._outward, *reaches]
-        crossing = [*points, self._edges, self._edge_ids, self._outward, *reaches]
+        c, lists = self.frozen, self._lists
+        lists.update(positions)
+        if len(self._partner) < len(lists.candidates):
+            self._partner = self._zeros(len(lists.candidates), wp.int32)
         # Vertices own the pairs with triangles, edges those with later edges.
-        by_vertex, by_edge = self._pair_count[: worlds * vertices], self._pair_count[worlds * vertices :]
-        self._launch(self_contact.count_triangle_pairs, self._shape, near, [by_vertex])
-        self._launch(self_contact.count_edge_pairs, edges_shape, crossing, [by_edge])
+        vertices, edges = slice(lists.points.size), slice(lists.points.size, None)
+        edges_shape = (self._shape[0], len(lists.edges))
+        common = [self._outward, self._reach]
+        near = [lists.points, self._faces, *common, lists.start[vertices]]
+        crossing = [lists.points, lists.edges, *common, lists.start[edges]]
+        for kernel, shape, inputs, owners in (
+            (self_contact.find_triangle_pairs, self._shape, near, vertices),
+            (self_contact.find_edge_pairs, edges_shape, crossing, edges),
+        ):
+            rows = [lists.count[owners], lists.candidates]
+            self._launch(kernel, shape, [*inputs, *rows], [self._pair_count[owners], self._partner])
         wp.utils.array_scan(self._pair_count, self._pair_end, inclusive=True)
         wp.utils.array_scan(self._pair_count, self._pair_start, inclusive=False)
         wp.copy(c.pair_total, self._pair_end, 0, len(self._pair_end) - 1, 1)
         total = int(c.pair_total.numpy()[0])
         if total > len(c.pair_strength):
             self._hold_pairs(total + total // 2)
-        found = [self._partner, c.pair_vertices, c.pair_weights, c.pair_normal, c.pair_strength]
-        lists = [self._pair_start[: worlds * vertices], by_vertex]
-        self._launch(self_contact.fill_triangle_pairs, self._shape, [*near, self._area, pressure, *lists], found)
-        lists = [self._pair_start[worlds * vertices :], by_edge]
-        self._launch(self_contact.fill_edge_pairs, edges_shape, [*crossing, self._edge_area, pressure, *lists], found)
+        found = [c.pair_vertices, c.pair_weights, c.pair_normal, c.pair_strength]
+        for kernel, shape, inputs, owners, area in (
+            (self_contact.fill_triangle_pairs, self._shape, near, vertices, self._area),
+            (self_contact.fill_edge_pairs, edges_shape, crossing, edges, self._edge_area),
+        ):
+            rows = [self._partner, self._pair_start[owners], self._pair_count[owners]]
+            self._launch(kernel, shape, [*inputs, *rows, area, wp.float64(self.settings.pressure)], found)
         self._list_incident()
 
     def _list_incident(self) -> None:
@@ -300,32 +301,23 @@ class ContactSearch:
         c.pair_total = self._zeros(1, wp.int32)
         c.incident_start, c.incident_count = (self._zeros(worlds * vertices, wp.int32) for _ in range(2))
         self._hold_pairs(worlds * vertices)
-        rest = np.ascontiguousarray(model.rest_positions[None].astype(np.float32))
-        self._rest_points = wp.array(rest, dtype=wp.vec3, device=self._device)
-        self._points = wp.array(np.repeat(rest, worlds, 0), dtype=wp.vec3, device=self._device)
-        self._garment_meshes, self._garment_ids = self._meshes(self._points, self._faces)
-        self._make_edges(model)
-        owners = worlds * (vertices + self._edges.shape[0])
-        self._pair_count, self._pair_start, self._pair_end = (self._zeros(owners, wp.int32) for _ in range(3))
-
-    def _make_edges(self, model: ClothModel) -> None:
-        """Edges of the garment, the rest area that each stands for [m^2], and a bounding volume tree for each world."""
         edges, edge_of_side = mesh_edges(model.faces)
         area = np.bincount(edge_of_side.ravel(), np.repeat(model.rest_area / 3.0, 3), len(edges))
-        self._edges = wp.array(edges, dtype=wp.int32, device=self._device)
         self._edge_area = wp.array(area, dtype=wp.float64, device=self._device)
-        shape = (self._shape[0], len(edges))
-        self._edge_lower, self._edge_upper = self._zeros(shape, wp.vec3), self._zeros(shape, wp.vec3)
-        self._launch(self_contact.edge_boxes, shape, [self._points, self._edges], [self._edge_lower, self._edge_upper])
-        self._edge_trees = [wp.Bvh(self._edge_lower[world], self._edge_upper[world]) for world in range(shape[0])]
-        self._edge_ids = wp.array([tree.id for tree in self._edge_trees], dtype=wp.uint64, device=self._device)
+        thickness = self.settings.self_thickness
+        self._reach = self_contact.REACH_THICKNESSES * thickness
+        rest_reach = self_contact.REST_THICKNESSES * thickness
+        self._lists = VerletLists(model, self._faces, worlds, self._reach, rest_reach)
+        self._partner = self._zeros(0, wp.int32)
+        owners = len(self._lists.count)
+        self._pair_count, self._pair_start, self._pair_end = (self._zeros(owners, wp.int32) for _ in range(3))
 
     def _hold_pairs(self, capacity: int) -> None:
         """Make room for this many self-contact pairs."""
         c = self.frozen
         c.pair_vertices, c.pair_weights = self._zeros(capacity, wp.vec4i), self._zeros(capacity, wp.vec4)
         c.pair_normal, c.pair_strength = self._zeros(capacity, wp.vec3), self._zeros(capacity, wp.float32)
-        c.incident, self._partner = self._zeros(4 * capacity, wp.int32), self._zeros(capacity, wp.int32)
+        c.incident = self._zeros(4 * capacity, wp.int32)
         self.pair_energy, self.pair_force = self._zeros(capacity, wp.float64), self._zeros(capacity, wp.vec3)
 
     def _meshes(self, points: wp.array, faces: wp.array) -> tuple[list[wp.Mesh], wp.array]:

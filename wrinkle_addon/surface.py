@@ -30,6 +30,7 @@ class SurfaceMeasures:
         self._faces = wp.array(self.faces, dtype=wp.int32, device="cpu")
         self._corner_start = wp.array(start, dtype=wp.int32, device="cpu")
         self._corners = wp.array(corners, dtype=wp.int32, device="cpu")
+        self._mesh: wp.Mesh | None = None
 
     @cached_property
     def edges(self) -> IntArray:
@@ -61,11 +62,18 @@ class SurfaceMeasures:
 
     def self_crossings(self, positions: FloatArray) -> tuple[IntArray, IntArray]:
         """Edges of the mesh, and the triangles of the same mesh that they pass through, in order."""
-        return self._crossings(positions, positions, self.faces, same=True)
+        # A tree that is refitted finds the same as a new one, which costs far more.
+        if self._mesh is None:
+            self._mesh = wp.Mesh(points=_points(positions), indices=self._faces.flatten())
+        else:
+            self._mesh.points = _points(positions)
+        return self._crossings(positions, positions, self._mesh, same=True)
 
     def body_intersections(self, positions: FloatArray, body: FloatArray, body_faces: IntArray) -> int:
         """Number of this mesh's edges that pass through a triangle of the body."""
-        return len(np.unique(self._crossings(positions, body, body_faces, same=False)[0]))
+        indices = wp.array(np.ascontiguousarray(body_faces, np.int32).ravel(), dtype=wp.int32, device="cpu")
+        mesh = wp.Mesh(points=_points(body), indices=indices)
+        return len(np.unique(self._crossings(positions, body, mesh, same=False)[0]))
 
     @cached_property
     def triangles_of_edges(self) -> IntArray:
@@ -80,16 +88,14 @@ class SurfaceMeasures:
         return triangles
 
     def _crossings(
-        self, positions: FloatArray, other: FloatArray, other_faces: IntArray, *, same: bool
+        self, positions: FloatArray, other: FloatArray, mesh: wp.Mesh, *, same: bool
     ) -> tuple[IntArray, IntArray]:
-        """Edges of this mesh, and the triangles of the other one that they pass through, in order."""
-        faces = wp.array(np.ascontiguousarray(other_faces, np.int32), dtype=wp.int32, device="cpu")
-        mesh = wp.Mesh(points=_points(other), indices=faces.flatten())
+        """Edges of this mesh, and the triangles of the other one (``other``: its points) that they pass through."""
         edges = wp.array(self.edges, dtype=wp.int32, device="cpu")
         exact = [
             wp.array(np.ascontiguousarray(p, np.float64), dtype=wp.vec3d, device="cpu") for p in (positions, other)
         ]
-        inputs = [exact[0], edges, mesh.id, exact[1], faces, same]
+        inputs = [exact[0], edges, mesh.id, exact[1], mesh.indices.reshape((-1, 3)), same]
         count = wp.zeros(len(self.edges), dtype=wp.int32, device="cpu")
         wp.launch(count_crossings, dim=len(self.edges), inputs=inputs, outputs=[count], device="cpu")
         counts = count.numpy()

@@ -25,33 +25,21 @@ REACH_THICKNESSES = 1.2
 CROSSED_SINE2 = wp.constant(wp.float32(0.25))
 
 
-@wp.kernel
-def to_single(positions: wp.array2d[wp.vec3d], single: wp.array2d[wp.vec3]):
-    """Positions as float32, for the bounding volume tree."""
-    world, vertex = wp.tid()
-    single[world, vertex] = wp.vec3(positions[world, vertex])
-
-
 @wp.func
 def triangle_pair(
     points: wp.array2d[wp.vec3],
-    rest_points: wp.array2d[wp.vec3],
     faces: wp.array2d[wp.int32],
     world: wp.int32,
     vertex: wp.int32,
     face: wp.int32,
     outward: wp.array2d[wp.vec3],
     reach: wp.float32,
-    rest_reach: wp.float32,
 ):
     """Barycentric coordinates of the triangle's closest point, and whether vertex and triangle make a pair.
 
     Where two limbs cut into each other, so must the cloth on them: a vertex that faces a triangle from behind, on
     limbs that face each other, is let through. Layers of one limb, such as folds, face the same way and always touch.
     """
-    w = wp.vec3()
-    if faces[face, 0] == vertex or faces[face, 1] == vertex or faces[face, 2] == vertex:
-        return False, w
     p = points[world, vertex]
     w = closest_point_on_triangle(
         p, points[world, faces[face, 0]], points[world, faces[face, 1]], points[world, faces[face, 2]]
@@ -64,96 +52,66 @@ def triangle_pair(
     facing = triangle_point(outward, faces, world, face, w)
     if wp.dot(outward[world, vertex], facing) < 0.0 and wp.dot(away, facing) < 0.0:
         return False, w
-    rest = rest_points[0, vertex]
-    r = closest_point_on_triangle(
-        rest, rest_points[0, faces[face, 0]], rest_points[0, faces[face, 1]], rest_points[0, faces[face, 2]]
-    )
-    return wp.length(rest - triangle_point(rest_points, faces, 0, face, r)) > rest_reach, w
+    return True, w
 
 
 @wp.kernel
-def count_triangle_pairs(
+def find_triangle_pairs(
     points: wp.array2d[wp.vec3],
-    rest_points: wp.array2d[wp.vec3],
     faces: wp.array2d[wp.int32],
-    meshes: wp.array[wp.uint64],
     outward: wp.array2d[wp.vec3],
     reach: wp.float32,
-    rest_reach: wp.float32,
+    row_start: wp.array[wp.int32],
+    row_count: wp.array[wp.int32],
+    candidates: wp.array[wp.int32],
     # outputs
     pair_count: wp.array[wp.int32],
+    partner: wp.array[wp.int32],
 ):
-    """How many triangles are within ``reach`` [m] of each vertex; entry world * vertex_count + vertex."""
+    """How many of its candidates are within ``reach`` [m] of each vertex, and which, from its row's start on."""
     world, vertex = wp.tid()
-    p = points[world, vertex]
-    box = wp.vec3(reach, reach, reach)
-    query = wp.mesh_query_aabb(meshes[world], p - box, p + box)
-    candidate = wp.int32(0)
+    owner = world * points.shape[1] + vertex
+    start = row_start[owner]
     found = wp.int32(0)
-    while wp.mesh_query_aabb_next(query, candidate):
-        near, _w = triangle_pair(points, rest_points, faces, world, vertex, candidate, outward, reach, rest_reach)
+    for place in range(start, start + row_count[owner]):
+        face = candidates[place]
+        near, _w = triangle_pair(points, faces, world, vertex, face, outward, reach)
         if near:
+            partner[start + found] = face
             found += 1
-    pair_count[world * points.shape[1] + vertex] = found
+    pair_count[owner] = found
 
 
 @wp.kernel
 def fill_triangle_pairs(
     points: wp.array2d[wp.vec3],
-    rest_points: wp.array2d[wp.vec3],
     faces: wp.array2d[wp.int32],
-    meshes: wp.array[wp.uint64],
     outward: wp.array2d[wp.vec3],
     reach: wp.float32,
-    rest_reach: wp.float32,
-    area: wp.array[wp.float64],
-    pressure: wp.float64,
+    row_start: wp.array[wp.int32],
+    partner: wp.array[wp.int32],
     pair_start: wp.array[wp.int32],
     pair_count: wp.array[wp.int32],
+    area: wp.array[wp.float64],
+    pressure: wp.float64,
     # outputs
-    partner: wp.array[wp.int32],
     vertices: wp.array[wp.vec4i],
     weights: wp.array[wp.vec4],
     normal: wp.array[wp.vec3],
     strength: wp.array[wp.float32],
 ):
-    """Write the pairs that :func:`count_triangle_pairs` counted, each vertex's in ascending order of the triangles.
-
-    ``partner`` is the triangle of each pair, ``strength`` its force at no distance [N].
-    """
+    """Write the pairs that :func:`find_triangle_pairs` found; ``strength`` is their force at no distance [N]."""
     world, vertex = wp.tid()
-    owner = world * points.shape[1] + vertex
-    if pair_count[owner] == 0:
-        return
-    start = pair_start[owner]
-    p = points[world, vertex]
-    box = wp.vec3(reach, reach, reach)
-    query = wp.mesh_query_aabb(meshes[world], p - box, p + box)
-    candidate = wp.int32(0)
-    end = start
-    while wp.mesh_query_aabb_next(query, candidate):
-        near, _w = triangle_pair(points, rest_points, faces, world, vertex, candidate, outward, reach, rest_reach)
-        if near:
-            insert_partner(partner, start, end, candidate)
-            end += 1
     first = world * points.shape[1]
-    for pair in range(start, end):
-        face = partner[pair]
-        _near, w = triangle_pair(points, rest_points, faces, world, vertex, face, outward, reach, rest_reach)
+    owner = first + vertex
+    for k in range(pair_count[owner]):
+        face = partner[row_start[owner] + k]
+        pair = pair_start[owner] + k
+        _near, w = triangle_pair(points, faces, world, vertex, face, outward, reach)
         vertices[pair] = wp.vec4i(owner, first + faces[face, 0], first + faces[face, 1], first + faces[face, 2])
         weights[pair] = wp.vec4(1.0, -w[0], -w[1], -w[2])
-        normal[pair] = wp.normalize(p - triangle_point(points, faces, world, face, w))
+        normal[pair] = wp.normalize(points[world, vertex] - triangle_point(points, faces, world, face, w))
         strength[pair] = wp.float32(pressure * area[vertex])
-
-
-@wp.func
-def insert_partner(partner: wp.array[wp.int32], start: wp.int32, end: wp.int32, candidate: wp.int32):
-    """Add a partner to the ascending list from start to end."""
-    place = end
-    while place > start and partner[place - 1] > candidate:
-        partner[place] = partner[place - 1]
-        place -= 1
-    partner[place] = candidate
 
 
 @wp.func
@@ -193,14 +151,12 @@ def edge_point(
 @wp.func
 def edge_pair(
     points: wp.array2d[wp.vec3],
-    rest_points: wp.array2d[wp.vec3],
     edges: wp.array2d[wp.int32],
     world: wp.int32,
     edge: wp.int32,
     other: wp.int32,
     outward: wp.array2d[wp.vec3],
     reach: wp.float32,
-    rest_reach: wp.float32,
 ):
     """Parameters of the closest points of two edges and the pair's share of its full strength; 0 if it is none.
 
@@ -210,9 +166,6 @@ def edge_pair(
     j = edges[edge, 1]
     k = edges[other, 0]
     m = edges[other, 1]
-    where = wp.vec2()
-    if i == k or i == m or j == k or j == m:
-        return where, wp.float32(0.0)
     where = closest_points_of_edges(points[world, i], points[world, j], points[world, k], points[world, m])
     s = where[0]
     t = where[1]
@@ -226,10 +179,6 @@ def edge_pair(
     other_side = edge_point(outward, edges, world, other, t)
     if wp.dot(own_side, other_side) < 0.0 and wp.dot(away, other_side - own_side) < 0.0:
         return where, wp.float32(0.0)
-    rest = closest_points_of_edges(rest_points[0, i], rest_points[0, j], rest_points[0, k], rest_points[0, m])
-    apart = edge_point(rest_points, edges, 0, edge, rest[0]) - edge_point(rest_points, edges, 0, other, rest[1])
-    if wp.length(apart) <= rest_reach:
-        return where, wp.float32(0.0)
     d1 = wp.normalize(points[world, j] - points[world, i])
     d2 = wp.normalize(points[world, m] - points[world, k])
     crossed = wp.length_sq(wp.cross(d1, d2)) / CROSSED_SINE2
@@ -237,91 +186,58 @@ def edge_pair(
 
 
 @wp.kernel
-def edge_boxes(
+def find_edge_pairs(
     points: wp.array2d[wp.vec3],
     edges: wp.array2d[wp.int32],
-    # outputs
-    lower: wp.array2d[wp.vec3],
-    upper: wp.array2d[wp.vec3],
-):
-    """Bounds of every edge [m], shape [world_count, edge_count]."""
-    world, edge = wp.tid()
-    p = points[world, edges[edge, 0]]
-    q = points[world, edges[edge, 1]]
-    lower[world, edge] = wp.min(p, q)
-    upper[world, edge] = wp.max(p, q)
-
-
-@wp.kernel
-def count_edge_pairs(
-    points: wp.array2d[wp.vec3],
-    rest_points: wp.array2d[wp.vec3],
-    edges: wp.array2d[wp.int32],
-    trees: wp.array[wp.uint64],
     outward: wp.array2d[wp.vec3],
     reach: wp.float32,
-    rest_reach: wp.float32,
+    row_start: wp.array[wp.int32],
+    row_count: wp.array[wp.int32],
+    candidates: wp.array[wp.int32],
     # outputs
     pair_count: wp.array[wp.int32],
+    partner: wp.array[wp.int32],
 ):
-    """How many later edges are within ``reach`` [m] of each edge; entry world * edge_count + edge."""
+    """How many of its candidates are within ``reach`` [m] of each edge, and which, from its row's start on."""
     world, edge = wp.tid()
-    p = points[world, edges[edge, 0]]
-    q = points[world, edges[edge, 1]]
-    box = wp.vec3(reach, reach, reach)
-    query = wp.bvh_query_aabb(trees[world], wp.min(p, q) - box, wp.max(p, q) + box)
-    candidate = wp.int32(0)
+    owner = world * edges.shape[0] + edge
+    start = row_start[owner]
     found = wp.int32(0)
-    while wp.bvh_query_next(query, candidate):
-        if candidate > edge:
-            _where, share = edge_pair(points, rest_points, edges, world, edge, candidate, outward, reach, rest_reach)
-            if share > 0.0:
-                found += 1
-    pair_count[world * edges.shape[0] + edge] = found
+    for place in range(start, start + row_count[owner]):
+        other = candidates[place]
+        _where, share = edge_pair(points, edges, world, edge, other, outward, reach)
+        if share > 0.0:
+            partner[start + found] = other
+            found += 1
+    pair_count[owner] = found
 
 
 @wp.kernel
 def fill_edge_pairs(
     points: wp.array2d[wp.vec3],
-    rest_points: wp.array2d[wp.vec3],
     edges: wp.array2d[wp.int32],
-    trees: wp.array[wp.uint64],
     outward: wp.array2d[wp.vec3],
     reach: wp.float32,
-    rest_reach: wp.float32,
-    area: wp.array[wp.float64],
-    pressure: wp.float64,
+    row_start: wp.array[wp.int32],
+    partner: wp.array[wp.int32],
     pair_start: wp.array[wp.int32],
     pair_count: wp.array[wp.int32],
+    area: wp.array[wp.float64],
+    pressure: wp.float64,
     # outputs
-    partner: wp.array[wp.int32],
     vertices: wp.array[wp.vec4i],
     weights: wp.array[wp.vec4],
     normal: wp.array[wp.vec3],
     strength: wp.array[wp.float32],
 ):
-    """Write the pairs that :func:`count_edge_pairs` counted, each edge's in ascending order of the others."""
+    """Write the pairs that :func:`find_edge_pairs` found."""
     world, edge = wp.tid()
     owner = world * edges.shape[0] + edge
-    if pair_count[owner] == 0:
-        return
-    start = pair_start[owner]
-    p = points[world, edges[edge, 0]]
-    q = points[world, edges[edge, 1]]
-    box = wp.vec3(reach, reach, reach)
-    query = wp.bvh_query_aabb(trees[world], wp.min(p, q) - box, wp.max(p, q) + box)
-    candidate = wp.int32(0)
-    end = start
-    while wp.bvh_query_next(query, candidate):
-        if candidate > edge:
-            _where, share = edge_pair(points, rest_points, edges, world, edge, candidate, outward, reach, rest_reach)
-            if share > 0.0:
-                insert_partner(partner, start, end, candidate)
-                end += 1
     first = world * points.shape[1]
-    for pair in range(start, end):
-        other = partner[pair]
-        where, share = edge_pair(points, rest_points, edges, world, edge, other, outward, reach, rest_reach)
+    for index in range(pair_count[owner]):
+        other = partner[row_start[owner] + index]
+        pair = pair_start[owner] + index
+        where, share = edge_pair(points, edges, world, edge, other, outward, reach)
         s = where[0]
         t = where[1]
         vertices[pair] = wp.vec4i(

@@ -75,6 +75,18 @@ def test_layers_that_came_apart_settle_apart(device, tangle):
     assert len(SurfaceMeasures(faces, len(rest)).self_intersections(simulation.positions[0])) == 0
 
 
+def test_meetings_do_not_depend_on_where_the_garment_was_looked_at_before():
+    _, faces = two_layers()
+    count = int(faces.max()) + 1
+    kept = SurfaceMeasures(faces, count)
+    for tangle in (two_layers, pushed_through, corner_through, two_layers, pushed_through):
+        positions, _ = tangle()
+        for placed in (positions, 3.0 - positions[:, [1, 2, 0]]):
+            found, expected = kept.self_crossings(placed), SurfaceMeasures(faces, count).self_crossings(placed)
+            assert all(np.array_equal(a, b) for a, b in zip(found, expected, strict=True))
+            assert (len(found[0]) > 0) == (tangle is not two_layers)
+
+
 def test_untangling_repeats_to_the_bit():
     positions, faces = pushed_through()
     surface = SurfaceMeasures(faces, len(positions))
