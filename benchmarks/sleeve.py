@@ -225,20 +225,14 @@ def folds_of(offset: FloatArray, spacing: float) -> tuple[float, float, float]:
 
 
 def ridges(line: FloatArray) -> int:
-    """Ridges between valleys that lie deeper by more than :data:`FOLD` on both sides; ends count as valleys."""
-    count, low, high, rising = 0, line[0], line[0], True
+    """Ridges between valleys that lie deeper by more than :data:`FOLD` [m] on both sides."""
+    count, rising, extreme = 0, False, line[0]
     for height in line[1:]:
-        if rising:
-            high = max(high, height)
-            low = min(low, height) if high == height and height < low else low
-            if height < high - FOLD and high > low + FOLD:
-                count, low, rising = count + 1, height, False
-            elif height < low:
-                low = high = height
-        else:
-            low = min(low, height)
-            if height > low + FOLD:
-                high, rising = height, True
+        if rising == (height > extreme):
+            extreme = height
+        elif abs(height - extreme) > FOLD:
+            count += rising
+            rising, extreme = not rising, height
     return count
 
 

@@ -30,10 +30,7 @@ def draw(case: Case, shapes: Mapping[str, FloatArray], path: Path) -> None:
     columns = list(enumerate(shapes.values()))
     with tempfile.TemporaryDirectory() as folder:
         rows = [
-            [
-                _render(case, shape, camera, Path(folder) / f"{row}{column}.png")
-                for column, shape in columns
-            ]
+            [_render(case, shape, camera, Path(folder) / f"{row}{column}.png") for column, shape in columns]
             for row, camera in enumerate(VIEWS.values())
         ]
         compose(rows, list(shapes), list(VIEWS), path)

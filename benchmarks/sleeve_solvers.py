@@ -13,10 +13,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from sleeve import CONTACT, FABRIC, Case, Faces, FloatArray, Motion
 from wrinkle_synthesis.wrinkle_addon.cloth import STANDARD_GRAVITY, ClothSimulation
 from wrinkle_synthesis.wrinkle_addon.cloth_model import ClothModel, build_cloth_model
 from wrinkle_synthesis.wrinkle_addon.pc2 import write_pc2
+from wrinkle_synthesis.wrinkle_addon.reference import SimulationSettings
 from wrinkle_synthesis.wrinkle_addon.topology import mesh_edges
 
 FRAME_RATE = 30
@@ -28,7 +30,7 @@ WALK = 1.0 / 20.0
 """Time of the motion between two shapes that settling walks through [s]: 3 degrees of the elbow."""
 RESIDUAL = 0.1
 """What settling goes down to, in nodal weights."""
-STEPS_HERE = 2
+STEPS_HERE = SimulationSettings().substeps
 """Time steps a frame."""
 
 NEWTON_STEPS, NEWTON_ITERATIONS = 5, 10
@@ -167,7 +169,7 @@ def step_in_newton(case: Case, device: str) -> Frames:
             yield now.particle_q.numpy()[:count].astype(np.float64)
 
 
-def newton_hinges(case: Case, edges: Faces, lengths: FloatArray) -> FloatArray:
+def newton_hinges(case: Case, edges: Faces, lengths: NDArray[np.float32]) -> NDArray[np.float32]:
     """Newton's stiffness of every edge, which it multiplies by the edge's length [N], and damping: [edge_count, 2]."""
     hinges = model_of(case).hinges
     assert hinges is not None
