@@ -36,21 +36,26 @@ class Options:
         json: File for the figures; "-" is standard output, None is nowhere.
         device: Warp device.
         quick: A tiny size, to see that the benchmark runs; its figures mean nothing.
+        picture: Where the picture goes, of a benchmark that makes one; None is nowhere.
     """
 
     json: str | None
     device: str
     quick: bool
+    picture: Path | None = None
 
 
-def read_options(description: str | None) -> Options:
+def read_options(description: str | None, *, picture: bool = False) -> Options:
+    """The options of a benchmark; ``picture`` says that it can make one."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--json", nargs="?", const="-", metavar="FILE", help="write the figures as one JSON object")
     parser.add_argument("--device", default="auto", help="cpu, cuda:0, ...; left out, a GPU if there is one")
     parser.add_argument("--quick", action="store_true", help="a tiny size, to see that it runs")
+    if picture:
+        parser.add_argument("--picture", type=Path, metavar="FILE", help="draw what was measured, .png or .jpg")
     given = parser.parse_args()
     try:
-        return Options(given.json, choose_device(given.device), given.quick)
+        return Options(given.json, choose_device(given.device), given.quick, getattr(given, "picture", None))
     except ValueError as error:
         parser.error(str(error))
 
