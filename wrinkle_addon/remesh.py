@@ -17,8 +17,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-# Puts vertices with the given borders (bit masks) on the surface and on their border curves.
-Projection = Callable[[FloatArray, IntArray], FloatArray]
+# Puts vertices with the given unit normals and borders (bit masks) on the surface and on their border curves.
+Projection = Callable[[FloatArray, FloatArray, IntArray], FloatArray]
 
 # Where an edge is split or collapsed, as multiples of the wanted length (Botsch & Kobbelt).
 SPLIT_ABOVE, COLLAPSE_BELOW = 4.0 / 3.0, 4.0 / 5.0
@@ -325,7 +325,7 @@ def slide(patch: Patch, project: Projection) -> Patch:
     step -= (step * normal).sum(1, keepdims=True) * normal
     is_corner = (patch.borders & (patch.borders - 1)) != 0
     step[is_corner] = 0.0
-    return Patch(project(patch.vertices + DAMPING * step, patch.borders), patch.triangles, patch.borders)
+    return Patch(project(patch.vertices + DAMPING * step, normal, patch.borders), patch.triangles, patch.borders)
 
 
 def _sums(index: IntArray, values: FloatArray, count: int) -> FloatArray:
