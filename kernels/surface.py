@@ -64,7 +64,7 @@ def closest_facing_points(
     p = points[i]
     query = wp.mesh_query_point_no_sign(mesh, p, 1.0e6)
     found = query.face
-    w = wp.vec3(query.u, query.v, 1.0 - query.u - query.v)
+    w = weights_on_triangle(surface, faces, found, p)
     if not faces_along(surface, faces, found, normals[i]):
         best = wp.length(p - surface_point(surface, faces, found, w)) + reach
         box = wp.vec3(best, best, best)

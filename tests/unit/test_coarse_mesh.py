@@ -29,16 +29,15 @@ def face_normals(positions, faces):
 
 
 def fold(gap, length=0.3, width=0.3, columns=90, rows=40):
-    """A sheet folded over itself, its two layers ``gap`` apart; returns it and the way along it [m]."""
+    """A sheet folded over itself, its two layers ``gap`` apart [m]."""
     positions, faces = sheet(columns, rows, 2.0 * length, width)
-    along = positions[:, 0].copy()
-    radius = 0.5 * gap
+    along, radius = positions[:, 0].copy(), 0.5 * gap
     flat = length - 0.5 * np.pi * radius
     angle = np.clip((along - flat) / radius, 0.0, np.pi)
     beyond = np.maximum(along - flat - np.pi * radius, 0.0)
     positions[:, 0] = np.minimum(along, flat) + radius * np.sin(angle) - beyond
     positions[:, 2] = radius * (1.0 - np.cos(angle))
-    return positions, faces, along
+    return positions, faces
 
 
 @pytest.mark.parametrize("count", [60, 200, 700])
@@ -111,14 +110,27 @@ def test_pieces_that_lie_on_each_other_do_not_grow_together():
     assert np.sum(height.mean(1) < -0.0005) == pytest.approx(0.5 * len(height), rel=0.2)
 
 
-def test_the_layers_of_a_fold_do_not_grow_together():
-    positions, faces, along = fold(gap=0.04)
+@pytest.mark.parametrize("gap", [0.04, 0.01, 0.004])
+def test_a_fold_keeps_its_end_and_its_layers_apart(gap):
+    positions, faces = fold(gap)
     mesh = make_coarse_mesh("Fold", positions, faces, 200)
     assert euler(mesh) == 1
-    nearest = np.array([np.linalg.norm(positions - point, axis=1).argmin() for point in mesh.positions])
-    way = along[nearest][mesh_edges(mesh.faces)[0]]
-    # An edge from one layer to the other would skip the way around the fold.
-    assert np.abs(way[:, 0] - way[:, 1]).max() < 2.5 * mesh.edge_length
+    # No edge is as long as the way from layer to layer is where they are far from the end, and none cuts it off.
+    distance = np.abs(bind_to_surface(positions, mesh.positions, mesh.faces).distance)
+    assert distance.max() < 0.75 * mesh.edge_length
+
+
+def test_a_sleeve_with_thickness_keeps_its_ends():
+    outer, faces = tube(60, 40, 0.5, 0.06)
+    inner, count = tube(60, 40, 0.5, 0.058)[0], len(outer)
+    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    rim = edges[~np.isin(edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0])]
+    a, b = rim.T
+    walls = [np.stack([b, a, a + count], 1), np.stack([b, a + count, b + count], 1)]
+    shell = np.concatenate([faces, faces[:, ::-1] + count, *walls]).astype(np.int32)
+    mesh = make_coarse_mesh("Sleeve", np.concatenate([outer, inner]), shell, 300)
+    assert euler(mesh) == 0 and len(border_edges(mesh.faces)) == 0
+    np.testing.assert_allclose([mesh.positions[:, 0].min(), mesh.positions[:, 0].max()], [-0.25, 0.25], atol=0.002)
 
 
 def test_small_pieces_are_left_out():
