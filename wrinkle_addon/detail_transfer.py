@@ -9,13 +9,14 @@ synthesised garment, both in one space [m] on one device. The synthesised garmen
 (eq 5), and the offset that is missing to the coarse layer is spread back over it (eq 6), smoothed over the garment so
 that the coarse mesh's edges do not show (W83).
 
-Three things differ from the paper's page. (a) Eq 5 compares a weighted mean of fine vertices with the coarse vertex v
+Four things differ from the paper's page. (a) Eq 5 compares a weighted mean of fine vertices with the coarse vertex v
 itself. Where the two meshes coincide that is zero only on a plane away from borders: a sleeve is blown up and a hem
 pulled out. Here each fine vertex is compared with its own place on the coarse mesh, so that a garment on its own coarse
 mesh stays as it is; ``as_published`` brings the page's form back. (b) The sums in eq 6's denominators are 1, those in
 eq 5's are 0 at coarse vertices that no garment lies on, whose offsets nothing uses. (c) Smoothing is linear, so it is
 applied once to the weights and not every frame to the offsets: what is stored for a fine vertex are its smoothed
-weights on some fifteen coarse vertices. A frame then costs the same however many iterations there are.
+weights on some twenty coarse vertices. A frame then costs the same however many iterations there are. (d) On an open
+border only what lies on the border counts, in eq 5 and in the smoothing, or hems would turn less than the coarse layer.
 
 Joints that are close to each other leave no room to blend their meshes in (W86). ``close_joints`` finds them,
 ``transfer_groups`` puts them apart; each group's mesh is synthesised alone, aligned alone, and then they meet:
