@@ -22,7 +22,7 @@ Joints that are close to each other leave no room to blend their meshes in (W86)
 ``transfer_groups`` puts them apart; each group's mesh is synthesised alone, aligned alone, and then they meet:
 
     groups = transfer_groups(names, close_joints(regions, rest, faces))
-    for k, group in enumerate(groups, 1):   # mesh 0 is the skinned garment, strength 0
+    for k, group in enumerate(((), *groups)):   # mesh 0 is the skinned garment: no joint has strength
         evaluator.evaluate(pose, meshes[k], {name: float(name in group) for name in names})
     transfer.align_all(coarse, meshes)
     transfer.join(meshes, positions)        # offsets over skinning; ``blend`` is the paper's weighted mean

@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 import warp as wp
+from baked_dolls import baked, bump, full_plan
 from cloth_shapes import sheet
+from dolls import doll
+from synthesis_reference import joined
 from wrinkle_synthesis.wrinkle_addon.coarse_mesh import make_coarse_mesh
 from wrinkle_synthesis.wrinkle_addon.correspondence import find_correspondence
 from wrinkle_synthesis.wrinkle_addon.detail_transfer import (
@@ -14,7 +17,8 @@ from wrinkle_synthesis.wrinkle_addon.detail_transfer import (
     smoothing_iterations,
     transfer_groups,
 )
-from wrinkle_synthesis.wrinkle_addon.garment import Regions
+from wrinkle_synthesis.wrinkle_addon.garment import Regions, SkinWeights
+from wrinkle_synthesis.wrinkle_addon.joint_wrinkles import JointWrinkles
 
 COLUMNS, ROWS, LENGTH, WIDTH, RADIUS = 96, 64, 0.6, 0.4, 0.3
 UP = np.array([0.0, 0.0, 1.0])
@@ -200,3 +204,38 @@ def test_meshes_of_close_joints_meet_without_a_step_if_they_are_aligned_first(cu
     # Blended first, the coarse mesh is too coarse to take the step away; of 20 mm a fifth and more is left.
     assert np.ptp((after - curved.rest)[:, 2]) > 4e-3
     assert np.abs(first.numpy() - curved.rest).max() < 1e-6
+
+
+def test_groups_of_joints_are_synthesised_aligned_and_joined(tmp_path):
+    character = doll()
+    rest, faces = character.garment.positions, character.garment.faces
+    names = [joint.name for joint in character.joints]
+    database = baked(tmp_path, character, full_plan(character), {name: bump(character, name) for name in names})
+    coarse = make_coarse_mesh("Sleeves", rest, faces, 200)
+    match = find_correspondence("Coarse", rest, faces, coarse.positions, coarse.faces)
+    transfer = DetailTransfer(match, rest, faces)
+    evaluator = JointWrinkles(database).bind()
+    pose = character.random_pose(np.random.default_rng(1))
+    # The coarse layer: skinned with the weights of the garment around each of its vertices, and blown aside.
+    nearest = np.array([np.linalg.norm(rest - point, axis=1).argmin() for point in coarse.positions])
+    weights = character.garment.weights
+    carried = SkinWeights(weights.bones[nearest], weights.weights[nearest])
+    layer = carried.carry(pose.deformations(character.rig), coarse.positions) + 0.01 * UP
+    groups = transfer_groups(names, [(names[0], names[1])])
+    strengths = [{name: float(name in group) for name in names} for group in ((), *groups)]
+
+    moved = wp.array(layer, dtype=wp.vec3, device="cpu")
+    meshes = wp.zeros((len(strengths), len(rest)), dtype=wp.vec3, device="cpu")
+    found = wp.zeros(len(rest), dtype=wp.vec3, device="cpu")
+    for k, strength in enumerate(strengths):
+        evaluator.evaluate(pose, meshes[k], strength)
+    transfer.align_all(moved, meshes)
+    transfer.join(meshes, found)
+
+    alone = [wp.array(evaluator.positions(pose, strength), dtype=wp.vec3, device="cpu") for strength in strengths]
+    for mesh in alone:
+        transfer.align(moved, mesh)
+    skinned, *others = (mesh.numpy().astype(np.float64) for mesh in alone)
+    # Single precision at coordinates of about 1 m.
+    np.testing.assert_allclose(found.numpy(), skinned + joined(np.stack(others) - skinned), atol=2e-6)
+    assert len(groups) == 2 and np.abs(found.numpy() - skinned).max() > 0.005
