@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..wrinkle_addon.remesh import Edges, Patch, compact, divided, normals, polish, remesh
+from ..wrinkle_addon.topology import connected_parts
 from . import implicit
-from .remesh import Edges, Patch, compact, divided, normals, polish, remesh
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -180,12 +181,7 @@ def clip(patch: Patch, beyond: FloatArray) -> Patch:
 
 def largest_piece(patch: Patch) -> Patch:
     """The connected piece with the most triangles."""
-    ends = Edges.of(patch.triangles).ends
-    label = np.arange(len(patch.vertices))
-    while (label[ends[:, 0]] != label[ends[:, 1]]).any():
-        for end in ends.T:
-            np.minimum.at(label, end, label[ends].min(1))
-        label = label[label]
+    label = connected_parts(Edges.of(patch.triangles).ends, len(patch.vertices))
     piece = label[patch.triangles[:, 0]]
     return compact(Patch(patch.vertices, patch.triangles[piece == np.bincount(piece).argmax()], patch.borders))
 
@@ -198,7 +194,7 @@ def mesh_evenly(half: Patch, surface: Surface, openings: Sequence[Opening], vert
             opening only grazes the surface.
     """
 
-    def project(points: FloatArray, borders: IntArray) -> FloatArray:
+    def project(points: FloatArray, _normals: FloatArray, borders: IntArray) -> FloatArray:
         points = points.copy()
         for _ in range(3):
             value, gradient = surface.whole.sample(points)

@@ -17,9 +17,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from ..wrinkle_addon.remesh import Edges
 from .character import Character
 from .cutting import BallCut, Ease, Form, Opening, PlaneCut, cut
-from .remesh import Edges
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

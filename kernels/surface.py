@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from .cloth.contact import closest_point_on_triangle
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -21,6 +23,92 @@ def closest_surface_points(
     face[i] = query.face
     weights[i] = w
     distance[i] = wp.length(points[i] - wp.mesh_eval_position(mesh, query.face, query.u, query.v))
+
+
+@wp.func
+def surface_point(points: wp.array[wp.vec3], faces: wp.array2d[wp.int32], face: wp.int32, w: wp.vec3) -> wp.vec3:
+    """Point at barycentric coordinates w of a triangle."""
+    return points[faces[face, 0]] * w[0] + points[faces[face, 1]] * w[1] + points[faces[face, 2]] * w[2]
+
+
+@wp.func
+def weights_on_triangle(points: wp.array[wp.vec3], faces: wp.array2d[wp.int32], face: wp.int32, p: wp.vec3) -> wp.vec3:
+    """Barycentric coordinates of the point of a triangle that is closest to p."""
+    return closest_point_on_triangle(p, points[faces[face, 0]], points[faces[face, 1]], points[faces[face, 2]])
+
+
+@wp.func
+def faces_along(points: wp.array[wp.vec3], faces: wp.array2d[wp.int32], face: wp.int32, direction: wp.vec3) -> wp.bool:
+    """Whether a triangle's front looks towards a direction, not away from it."""
+    a = points[faces[face, 0]]
+    return wp.dot(wp.cross(points[faces[face, 1]] - a, points[faces[face, 2]] - a), direction) > 0.0
+
+
+@wp.kernel
+def closest_facing_points(
+    points: wp.array[wp.vec3],
+    normals: wp.array[wp.vec3],
+    mesh: wp.uint64,
+    surface: wp.array[wp.vec3],
+    faces: wp.array2d[wp.int32],
+    reach: wp.float32,
+    # outputs
+    face: wp.array[wp.int32],
+    weights: wp.array[wp.vec3],
+):
+    """Closest triangle and barycentric coordinates on it, of one that faces along the point's normal.
+
+    If the very closest faces away, another may be up to ``reach`` [m] farther; if there is none, the closest counts.
+    """
+    i = wp.tid()
+    p = points[i]
+    query = wp.mesh_query_point_no_sign(mesh, p, 1.0e6)
+    found = query.face
+    w = weights_on_triangle(surface, faces, found, p)
+    if not faces_along(surface, faces, found, normals[i]):
+        best = wp.length(p - surface_point(surface, faces, found, w)) + reach
+        box = wp.vec3(best, best, best)
+        near = wp.mesh_query_aabb(mesh, p - box, p + box)
+        candidate = wp.int32(0)
+        while wp.mesh_query_aabb_next(near, candidate):
+            if faces_along(surface, faces, candidate, normals[i]):
+                other = weights_on_triangle(surface, faces, candidate, p)
+                distance = wp.length(p - surface_point(surface, faces, candidate, other))
+                # Of two at the same distance the first one listed, in whatever order they are met.
+                if distance < best or (distance == best and candidate < found):
+                    best = distance
+                    found = candidate
+                    w = other
+    face[i] = found
+    weights[i] = w
+
+
+@wp.kernel
+def closest_listed_points(
+    points: wp.array[wp.vec3],
+    normals: wp.array[wp.vec3],
+    surface: wp.array[wp.vec3],
+    faces: wp.array2d[wp.int32],
+    start: wp.array[wp.int32],
+    candidates: wp.array[wp.int32],
+    # outputs
+    face: wp.array[wp.int32],
+    weights: wp.array[wp.vec3],
+):
+    """The same among candidates [start[i], start[i + 1]) alone: those that face along the normal first."""
+    i = wp.tid()
+    best = wp.float32(1.0e30)
+    best_faces = wp.bool(False)
+    for k in range(start[i], start[i + 1]):
+        candidate = candidates[k]
+        w = weights_on_triangle(surface, faces, candidate, points[i])
+        distance = wp.length(points[i] - surface_point(surface, faces, candidate, w))
+        along = faces_along(surface, faces, candidate, normals[i])
+        if (along and not best_faces) or (along == best_faces and distance < best):
+            best = distance
+            best_faces = along
+            face[i] = candidate
+            weights[i] = w
 
 
 @wp.kernel

@@ -1,4 +1,4 @@
-"""Measures of a garment's surface: curvature, self-intersections, depth inside the body."""
+"""Measures of a garment's surface: curvature, self-intersections, depth inside the body; and closest points on it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..kernels.curvature import mean_curvature
 from ..kernels.intersections import count_crossings, fill_crossings
-from ..kernels.surface import depth_in_body
+from ..kernels.surface import closest_facing_points, closest_listed_points, depth_in_body
 from .cloth_model import FloatArray, IntArray
 from .topology import group, mesh_edges
 
@@ -136,6 +136,45 @@ class BodyVolume:
             device="cpu",
         )
         return depth.numpy(), covered.numpy().astype(bool)
+
+
+class FacingSurface:
+    """A triangle mesh on which points with normals look for the closest place that faces as they do.
+
+    So a point finds the outside of a sleeve and not its inside, and its own layer of a folded collar.
+
+    Args:
+        positions: Vertices [m], shape [vertex_count, 3].
+        faces: Triangles, shape [triangle_count, 3].
+    """
+
+    def __init__(self, positions: FloatArray, faces: IntArray):
+        self._positions = _points(positions)
+        self._faces = wp.array(np.ascontiguousarray(faces, np.int32), dtype=wp.int32, device="cpu")
+        self._mesh = wp.Mesh(points=self._positions, indices=self._faces.flatten())
+
+    def closest(self, points: FloatArray, normals: FloatArray, reach: float) -> tuple[IntArray, NDArray[np.float32]]:
+        """Closest triangle, shape [point_count], and barycentric coordinates on it, shape [point_count, 3].
+
+        If the closest triangle faces away from a point's normal, one that does not is preferred that is at most
+        ``reach`` [m] farther.
+        """
+        inputs = [_points(points), _points(normals), self._mesh.id, self._positions, self._faces, reach]
+        return self._found(closest_facing_points, inputs, len(points))
+
+    def closest_among(
+        self, points: FloatArray, normals: FloatArray, start: IntArray, candidates: IntArray
+    ) -> tuple[IntArray, NDArray[np.float32]]:
+        """The same among each point's own candidates, ``candidates[start[i] : start[i + 1]]``, of which it has some."""
+        lists = [wp.array(values, dtype=wp.int32, device="cpu") for values in (start, candidates)]
+        inputs = [_points(points), _points(normals), self._positions, self._faces, *lists]
+        return self._found(closest_listed_points, inputs, len(points))
+
+    def _found(self, kernel: wp.Kernel, inputs: list, count: int) -> tuple[IntArray, NDArray[np.float32]]:
+        face = wp.zeros(count, dtype=wp.int32, device="cpu")
+        weights = wp.zeros(count, dtype=wp.vec3, device="cpu")
+        wp.launch(kernel, dim=count, inputs=inputs, outputs=[face, weights], device="cpu")
+        return face.numpy(), weights.numpy()
 
 
 def _points(positions: FloatArray) -> wp.array:

@@ -29,6 +29,25 @@ def inner_edges(faces: IntArray) -> tuple[IntArray, IntArray]:
     return vertices.astype(np.int32), np.stack([first, second], 1).astype(np.int32)
 
 
+def border_edges(faces: IntArray) -> IntArray:
+    """Edges of one triangle only, shape [border_edge_count, 2]."""
+    edges, edge_of_side = mesh_edges(faces)
+    return edges[np.bincount(edge_of_side.ravel()) == 1]
+
+
+def connected_parts(pairs: NDArray[np.integer], count: int) -> NDArray[np.int64]:
+    """The lowest of all that each one hangs together with through pairs, shape [count]."""
+    label = np.arange(count)
+    while True:
+        lowest = label[pairs].min(1)
+        if (label[pairs] == lowest[:, None]).all():
+            return label
+        for end in pairs.T:
+            np.minimum.at(label, label[end], lowest)
+        while (label[label] != label).any():
+            label = label[label]
+
+
 def group(owners: NDArray[np.integer], owner_count: int) -> tuple[IntArray, IntArray]:
     """Lists of entries by owner: (start, entries) with entries[start[i] : start[i + 1]] owned by i, ascending."""
     return row_starts(np.sort(owners), owner_count), np.argsort(owners, kind="stable").astype(np.int32)

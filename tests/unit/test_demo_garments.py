@@ -9,7 +9,7 @@ from wrinkle_synthesis.demo import packages
 from wrinkle_synthesis.demo.character import Build, Character, load_character
 from wrinkle_synthesis.demo.garment import Garment, make_garment
 from wrinkle_synthesis.demo.implicit import signed_distance, with_holes_filled
-from wrinkle_synthesis.demo.remesh import Edges, normals
+from wrinkle_synthesis.wrinkle_addon.remesh import Edges, normals
 from wrinkle_synthesis.wrinkle_addon.surface import SurfaceMeasures
 
 VERTEX_COUNT = 4_000

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from wrinkle_synthesis.demo.implicit import Field, Grid, closing, smooth_union, with_holes_filled
-from wrinkle_synthesis.demo.remesh import Edges, Patch, normals, polish, remesh
+from wrinkle_synthesis.wrinkle_addon.remesh import Edges, Patch, normals, polish, remesh
 
 RADIUS = 0.2
 
@@ -93,7 +93,7 @@ def dome() -> Patch:
     borders = np.zeros(len(vertices), np.int64)
     borders[edges.ends[edges.is_border]] = 1
 
-    def project(points: np.ndarray, masks: np.ndarray) -> np.ndarray:
+    def project(points: np.ndarray, _: np.ndarray, masks: np.ndarray) -> np.ndarray:
         points = points * (RADIUS / np.linalg.norm(points, axis=1, keepdims=True))
         points[masks > 0, 0] = 0.0
         return points

@@ -17,8 +17,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-# Puts vertices with the given borders (bit masks) on the surface and on their border curves.
-Projection = Callable[[FloatArray, IntArray], FloatArray]
+# Puts vertices with the given unit normals and borders (bit masks) on the surface and on their border curves.
+Projection = Callable[[FloatArray, FloatArray, IntArray], FloatArray]
 
 # Where an edge is split or collapsed, as multiples of the wanted length (Botsch & Kobbelt).
 SPLIT_ABOVE, COLLAPSE_BELOW = 4.0 / 3.0, 4.0 / 5.0
@@ -27,6 +27,8 @@ NORMAL_AGREEMENT = 0.5
 COLLAPSE_ROUNDS = 4
 # Share of the way to the middle of its neighbours that a vertex goes at once; below 1, or the mesh would oscillate.
 DAMPING = 0.8
+# Pull of a vertex on a plane, where one on a fold has up to 1; and what stands for zero in a divisor.
+LEAST_PULL, TINY = 1e-3, 1e-30
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,23 +92,28 @@ class Edges:
         return np.linalg.norm(vertices[self.ends[:, 1]] - vertices[self.ends[:, 0]], axis=1)
 
 
-def remesh(patch: Patch, length: float, project: Projection, passes: int) -> Patch:
-    """Bring all edges near the wanted length [m], in passes of splitting, collapsing, flipping and sliding."""
+def remesh(patch: Patch, length: float, project: Projection, passes: int, coarsen: bool = False) -> Patch:
+    """Bring all edges near the wanted length [m], in passes of splitting, collapsing, flipping and sliding.
+
+    Args:
+        coarsen: For edges that become as long as the surface's folds are wide: vertices on folds stay there, or layers
+            would slip off them pass by pass; and many edges collapse at once.
+    """
     for _ in range(passes):
         patch = split_long_edges(patch, SPLIT_ABOVE * length)
-        patch = collapse_short_edges(patch, COLLAPSE_BELOW * length, SPLIT_ABOVE * length)
+        patch = collapse_short_edges(patch, COLLAPSE_BELOW * length, SPLIT_ABOVE * length, coarsen)
         patch = flip_edges(patch, valence_gain)
-        patch = slide(patch, project)
+        patch = slide(patch, project, coarsen)
     return patch
 
 
-def polish(patch: Patch, project: Projection, passes: int) -> Patch:
+def polish(patch: Patch, project: Projection, passes: int, coarsen: bool = False) -> Patch:
     """Even out a mesh without changing its number of vertices."""
     for _ in range(passes):
         patch = flip_edges(patch, valence_gain)
-        patch = slide(patch, project)
+        patch = slide(patch, project, coarsen)
     patch = flip_edges(patch, angle_gain)
-    return slide(patch, project)
+    return slide(patch, project, coarsen)
 
 
 def normals(vertices: FloatArray, triangles: IntArray) -> FloatArray:
@@ -148,24 +155,26 @@ def divided(triangles: IntArray, middles: IntArray) -> IntArray:
     return np.concatenate(found)
 
 
-def collapse_short_edges(patch: Patch, shortest: float, longest: float) -> Patch:
+def collapse_short_edges(patch: Patch, shortest: float, longest: float, coarsen: bool = False) -> Patch:
     """Merge the ends of every edge shorter than ``shortest`` where that makes no edge longer than ``longest`` [m]."""
     # What is left over after a few rounds goes in the next pass, from better places.
     for _ in range(COLLAPSE_ROUNDS):
         edges = Edges.of(patch.triangles)
         lengths = edges.lengths(patch.vertices)
-        kept, place = _collapse_targets(patch, edges)
+        kept, place = _collapse_targets(patch, edges, coarsen)
+        # Edges of about one length go in the order of their numbers: sorted by length few are shorter than all around.
+        cost = np.floor(2.0 * np.log2(lengths)) if coarsen else lengths
         wanted = (lengths < shortest) & (kept >= 0)
         wanted[wanted] = _is_linked_simply(edges, wanted, len(patch.vertices))
         wanted[wanted] = ~_spoils(patch, edges.ends[wanted], place[wanted], longest)
-        chosen = wanted & _cheapest_around(edges, lengths, wanted, len(patch.vertices))
+        chosen = wanted & _cheapest_around(edges, cost, wanted, len(patch.vertices))
         if not chosen.any():
             break
         patch = _merge(patch, edges.ends[chosen], kept[chosen], place[chosen])
     return patch
 
 
-def _collapse_targets(patch: Patch, edges: Edges) -> tuple[IntArray, FloatArray]:
+def _collapse_targets(patch: Patch, edges: Edges, coarsen: bool) -> tuple[IntArray, FloatArray]:
     """The end that stays (-1 where an edge must not collapse), shape [n], and where it then lies, shape [n, 3]."""
     a, b = edges.ends.T
     border_a, border_b = patch.borders[a], patch.borders[b]
@@ -175,8 +184,20 @@ def _collapse_targets(patch: Patch, edges: Edges) -> tuple[IntArray, FloatArray]
     into_b = ~equal & ((border_a & border_b) == border_a) & (along | (border_a == 0))
     into_a = ~equal & ~into_b & ((border_a & border_b) == border_b) & (along | (border_b == 0))
     kept = np.where(equal | into_a, a, np.where(into_b, b, -1))
-    place = np.where(equal[:, None], patch.vertices[edges.ends].mean(1), patch.vertices[kept])
-    return kept, place
+    middle = patch.vertices[edges.ends].mean(1)
+    if coarsen:
+        # Nearer to the end that lies on a fold; in the middle where neither does.
+        pull = ((1.0 - flatness(patch)) ** 2 + LEAST_PULL)[edges.ends]
+        middle = (pull[..., None] * patch.vertices[edges.ends]).sum(1) / pull.sum(1, keepdims=True)
+    return kept, np.where(equal[:, None], middle, patch.vertices[kept])
+
+
+def flatness(patch: Patch) -> FloatArray:
+    """How much the triangles around each vertex face one way: 1 on a plane, 0 on a closed fold, shape [n]."""
+    faces = normals(patch.vertices, patch.triangles)
+    total = _sums(patch.triangles.T.reshape(-1), np.tile(faces, (3, 1)), len(patch.vertices))
+    size = np.bincount(patch.triangles.T.reshape(-1), np.tile(np.linalg.norm(faces, axis=1), 3), len(patch.vertices))
+    return np.linalg.norm(total, axis=1) / np.maximum(size, TINY)
 
 
 def _is_linked_simply(edges: Edges, wanted: BoolArray, vertex_count: int) -> BoolArray:
@@ -309,8 +330,11 @@ def flip_edges(patch: Patch, gain: Callable[[Patch, Edges], FloatArray]) -> Patc
     return Patch(patch.vertices, triangles, patch.borders)
 
 
-def slide(patch: Patch, project: Projection) -> Patch:
-    """Move vertices towards the middle of their neighbours along the surface, border vertices along their border."""
+def slide(patch: Patch, project: Projection, coarsen: bool = False) -> Patch:
+    """Move vertices towards the middle of their neighbours along the surface, border vertices along their border.
+
+    When coarsening, vertices inside move the less the more sharply the surface is bent there.
+    """
     edges = Edges.of(patch.triangles)
     on_border = patch.borders > 0
     near, far = np.concatenate([edges.ends, edges.ends[:, ::-1]]).T
@@ -321,11 +345,13 @@ def slide(patch: Patch, project: Projection) -> Patch:
     step = total / weight[:, None] - patch.vertices
     faces = normals(patch.vertices, patch.triangles)
     normal = _sums(patch.triangles.T.reshape(-1), np.tile(faces, (3, 1)), len(patch.vertices))
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), TINY)
     step -= (step * normal).sum(1, keepdims=True) * normal
+    if coarsen:
+        step *= np.where(on_border, 1.0, np.maximum(2.0 * flatness(patch) - 1.0, 0.0))[:, None]
     is_corner = (patch.borders & (patch.borders - 1)) != 0
     step[is_corner] = 0.0
-    return Patch(project(patch.vertices + DAMPING * step, patch.borders), patch.triangles, patch.borders)
+    return Patch(project(patch.vertices + DAMPING * step, normal, patch.borders), patch.triangles, patch.borders)
 
 
 def _sums(index: IntArray, values: FloatArray, count: int) -> FloatArray:

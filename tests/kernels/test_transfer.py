@@ -1,0 +1,135 @@
+"""Detail transfer's kernels against float64 references."""
+
+import numpy as np
+import pytest
+import warp as wp
+from cloth_shapes import tube
+from wrinkle_synthesis.kernels.blend import join_all_offsets
+from wrinkle_synthesis.kernels.transfer import blend_meshes, join_meshes
+from wrinkle_synthesis.wrinkle_addon.coarse_mesh import make_coarse_mesh
+from wrinkle_synthesis.wrinkle_addon.correspondence import find_correspondence
+from wrinkle_synthesis.wrinkle_addon.detail_transfer import (
+    SMOOTHING_STEP,
+    DetailTransfer,
+    TransferSettings,
+    cotangent_weights,
+    smoothed_weights,
+)
+
+MESHES, SMOOTHING = 3, 12
+
+
+@pytest.fixture(scope="module")
+def sleeve():
+    """A sleeve, its coarse mesh, and how the two correspond."""
+    positions, faces = tube(40, 30, 0.4, 0.06)
+    coarse = make_coarse_mesh("Sleeve", positions, faces, 60)
+    return positions, faces, coarse, find_correspondence("Coarse", positions, faces, coarse.positions, coarse.faces)
+
+
+@pytest.fixture(scope="module")
+def moved(sleeve):
+    """Several crumpled sleeves, and a coarse layer that has moved."""
+    positions, _, coarse, _ = sleeve
+    rng = np.random.default_rng(1)
+    meshes = positions + 5e-3 * rng.normal(size=(MESHES, *positions.shape))
+    return meshes, coarse.positions + 0.02 * np.sin(7.0 * coarse.positions + rng.normal(size=3))
+
+
+def dense(start, columns, weights, width):
+    matrix = np.zeros((len(start) - 1, width))
+    matrix[np.repeat(np.arange(len(matrix)), np.diff(start)), columns] = weights
+    return matrix
+
+
+def prolongation(match):
+    """a_uv, shape [fine_count, coarse_count]."""
+    matrix = np.zeros((match.fine_count, match.coarse_count))
+    np.add.at(matrix, (np.arange(match.fine_count)[:, None], match.corners), match.weights)
+    return matrix
+
+
+def smoothing(positions, faces, iterations):
+    """Laplacian smoothing over the fine mesh as a dense matrix."""
+    mean = dense(*cotangent_weights(positions, faces), len(positions))
+    step = np.eye(len(positions)) + SMOOTHING_STEP * (mean - np.eye(len(positions)))
+    return np.linalg.matrix_power(step, iterations)
+
+
+def carried(match, coarse):
+    """Each fine vertex at its place on the moved coarse mesh."""
+    a, b, c = (coarse[match.corners[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    along_b, along_c, height = match.places.astype(np.float64).T[:, :, None]
+    return a + along_b * (b - a) + along_c * (c - a) + height * normal
+
+
+def align(device, sleeve, moved, settings):
+    positions, faces, _, match = sleeve
+    meshes, coarse = (wp.array(points.astype(np.float32), dtype=wp.vec3, device=device) for points in moved)
+    DetailTransfer(match, positions, faces, settings, device=device).align_all(coarse, meshes)
+    return meshes.numpy()
+
+
+def test_equations_5_and_6_as_published(device, sleeve, moved):
+    match = sleeve[3]
+    meshes, coarse = moved
+    weights = prolongation(match)
+    offsets = coarse - (weights.T @ meshes) / weights.sum(0)[:, None]
+    expected = meshes + weights @ offsets
+    found = align(device, sleeve, moved, TransferSettings(smoothing=0, as_published=True))
+    # Positions are float32, and corners that a vertex hardly weighs on are left out: 0.1 of the thinnest wrinkle seen.
+    assert np.abs(found - expected).max() < 1e-5
+
+
+def test_offsets_from_places_on_the_coarse_mesh_are_smoothed_over_the_garment(device, sleeve, moved):
+    positions, faces, _, match = sleeve
+    meshes, coarse = moved
+    start, members, shares = match.members()
+    averaging = dense(start, members, shares, match.fine_count)
+    offsets = averaging @ (carried(match, coarse) - meshes)
+    expected = meshes + smoothing(positions, faces, SMOOTHING) @ prolongation(match) @ offsets
+    found = align(device, sleeve, moved, TransferSettings(smoothing=SMOOTHING))
+    # Weights below 1e-4 are left out: of offsets that differ by 40 mm at most, a hundredth of a millimetre or two.
+    assert np.abs(found - expected).max() < 3e-5
+
+
+def test_stored_weights_are_the_smoothed_ones_and_add_up_to_1(sleeve):
+    positions, faces, _, match = sleeve
+    start, columns, weights = smoothed_weights(match, positions, faces, SMOOTHING)
+    exact = smoothing(positions, faces, SMOOTHING) @ prolongation(match)
+    stored = dense(start, columns, weights, match.coarse_count)
+    assert np.abs(stored - exact).max() < 5e-4
+    np.testing.assert_allclose(stored.sum(1), 1.0, atol=1e-6)
+    assert (np.diff(columns)[np.diff(np.repeat(np.arange(match.fine_count), np.diff(start))) == 0] > 0).all()
+
+
+def test_one_mesh_is_aligned_as_it_would_be_beside_others(device, sleeve, moved):
+    together = align(device, sleeve, moved, TransferSettings())
+    alone = align(device, sleeve, (moved[0][1:2], moved[1]), TransferSettings())
+    np.testing.assert_array_equal(alone[0], together[1])
+
+
+def test_aligning_twice_gives_the_same_bits(device, sleeve, moved):
+    first = align(device, sleeve, moved, TransferSettings())
+    np.testing.assert_array_equal(align(device, sleeve, moved, TransferSettings()), first)
+
+
+def test_blending_is_the_weighted_mean(device, moved):
+    meshes = moved[0]
+    shares = np.random.default_rng(2).dirichlet(np.ones(MESHES), meshes.shape[1]).T
+    out = wp.zeros(meshes.shape[1], dtype=wp.vec3, device=device)
+    inputs = [wp.array(meshes, dtype=wp.vec3, device=device), wp.array(shares, dtype=wp.float32, device=device)]
+    wp.launch(blend_meshes, out.shape, inputs, [out], device=device)
+    # Positions of half a metre in float32.
+    assert np.abs(out.numpy() - (shares[..., None] * meshes).sum(0)).max() < 1e-6
+
+
+def test_joining_adds_offsets_from_the_first_mesh_as_joints_do(device, moved):
+    meshes = moved[0].astype(np.float32)
+    out, joined = (wp.zeros(meshes.shape[1], dtype=wp.vec3, device=device) for _ in range(2))
+    wp.launch(join_meshes, out.shape, [wp.array(meshes, dtype=wp.vec3, device=device)], [out], device=device)
+    offsets = wp.array(meshes[1:] - meshes[0], dtype=wp.vec3, device=device)
+    wp.launch(join_all_offsets, joined.shape, [offsets], [joined], device=device)
+    assert np.abs(out.numpy() - (meshes[0] + joined.numpy())).max() < 1e-6
