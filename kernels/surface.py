@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from .cloth.contact import closest_point_on_triangle
+from .cloth.body_surface import closest_point_on_triangle
 
 wp.set_module_options({"enable_backward": False})
 

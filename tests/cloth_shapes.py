@@ -84,6 +84,20 @@ def tube(rings: int, around: int, length: float, radius: float) -> tuple[Array, 
     return positions.reshape(-1, 3), np.array(faces, np.int32)
 
 
+def closest_point(p: Array, triangle: Array) -> Array:
+    """Closest point of one triangle by trying its inside and its three edges, in float64."""
+    a, b, c = triangle
+    candidates = []
+    for start, end in ((a, b), (b, c), (c, a)):
+        t = np.clip((p - start) @ (end - start) / ((end - start) @ (end - start)), 0.0, 1.0)
+        candidates.append(start + t * (end - start))
+    normal = np.cross(b - a, c - a)
+    inside = p - normal * ((p - a) @ normal) / (normal @ normal)
+    if min(np.cross(v - u, inside - u) @ normal for u, v in ((b, c), (c, a), (a, b))) >= 0.0:
+        candidates.append(inside)
+    return min(candidates, key=lambda q: np.linalg.norm(p - q))
+
+
 def bent(positions: Array, angle: float, along: Array, width: float) -> Array:
     """Positions turned about the y axis through the origin by their share of ``angle`` [rad].
 

@@ -209,7 +209,7 @@ class ContactSearch:
 
     def _find_planes(self, positions: wp.array, remembering: wp.array | None = None) -> None:
         remembering = self._none if remembering is None else remembering
-        inputs = [positions, self._outward, self._limbs, self._body, self._reach, remembering]
+        inputs = [positions, self._outward, self._limbs, self._body, self._body_reach, remembering]
         found = [self._held_face, self._held_weights, self._planes]
         self._launch(contact_planes.find_contact_planes, self._shape, inputs, found)
 
@@ -281,7 +281,7 @@ class ContactSearch:
         planes.face, planes.weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)
         planes.point, planes.normal = self._zeros(shape, wp.vec3d), self._zeros(shape, wp.vec3d)
         planes.hollow = self._zeros(shape, wp.vec3)
-        self._reach, self._planes = reach, planes
+        self._body_reach, self._planes = reach, planes
         c = assembly.Contact()
         c.thickness = wp.float64(settings.thickness)
         c.pressure = wp.float64(settings.pressure)

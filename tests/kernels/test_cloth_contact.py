@@ -1,10 +1,9 @@
-"""What the garment touches: closest points, planes on the body and pairs of the garment, against brute force."""
+"""Pairs of the garment that touch each other, against brute force."""
 
 import numpy as np
 import pytest
-import warp as wp
-from cloth_shapes import NO_TOUCH, raised, sheet, sphere
-from wrinkle_synthesis.kernels.cloth import body_surface, contact_planes, self_contact
+from cloth_shapes import NO_TOUCH, closest_point, raised, sheet, sphere
+from wrinkle_synthesis.kernels.cloth import self_contact
 from wrinkle_synthesis.wrinkle_addon.cloth import ClothSimulation
 from wrinkle_synthesis.wrinkle_addon.cloth_contact import ContactSettings
 from wrinkle_synthesis.wrinkle_addon.cloth_model import Fabric, build_cloth_model
@@ -12,127 +11,6 @@ from wrinkle_synthesis.wrinkle_addon.topology import mesh_edges
 
 # Kernels look in float32 at lengths up to 1 m: 1 micrometre leaves room for a few roundings.
 FLOAT32 = 1.0e-6
-
-
-def closest_point(p, triangle):
-    """Closest point of one triangle by trying its inside and its three edges, in float64."""
-    a, b, c = triangle
-    candidates = []
-    for start, end in ((a, b), (b, c), (c, a)):
-        t = np.clip((p - start) @ (end - start) / ((end - start) @ (end - start)), 0.0, 1.0)
-        candidates.append(start + t * (end - start))
-    normal = np.cross(b - a, c - a)
-    inside = p - normal * ((p - a) @ normal) / (normal @ normal)
-    if min(np.cross(v - u, inside - u) @ normal for u, v in ((b, c), (c, a), (a, b))) >= 0.0:
-        candidates.append(inside)
-    return min(candidates, key=lambda q: np.linalg.norm(p - q))
-
-
-@wp.kernel
-def evaluate_closest_point(
-    points: wp.array[wp.vec3], triangles: wp.array2d[wp.vec3], weights: wp.array[wp.vec3], closest: wp.array[wp.vec3]
-):
-    i = wp.tid()
-    w = body_surface.closest_point_on_triangle(points[i], triangles[i, 0], triangles[i, 1], triangles[i, 2])
-    weights[i] = w
-    closest[i] = w[0] * triangles[i, 0] + w[1] * triangles[i, 1] + w[2] * triangles[i, 2]
-
-
-def test_closest_point_on_a_triangle_is_the_closest(device):
-    rng = np.random.default_rng(1)
-    count = 1500
-    triangles = 0.1 * rng.normal(size=(count, 3, 3))
-    triangles[::5, 2] = triangles[::5, 1] + 1e-3 * rng.normal(size=(len(triangles[::5]), 3))  # Slivers too.
-    points = 0.2 * rng.normal(size=(count, 3))
-    points[::7] = triangles[::7, 0]
-    weights, closest = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(2))
-    inputs = [wp.array(values.astype(np.float32), dtype=wp.vec3, device=device) for values in (points, triangles)]
-    wp.launch(evaluate_closest_point, count, inputs, [weights, closest], device=device)
-    expected = np.array([closest_point(p, t) for p, t in zip(points, triangles, strict=True)])
-    distance = np.linalg.norm(points - closest.numpy(), axis=1)
-    assert np.abs(distance - np.linalg.norm(points - expected, axis=1)).max() < FLOAT32
-    assert weights.numpy().min() >= 0.0
-    assert np.abs(weights.numpy().sum(1) - 1.0).max() < FLOAT32
-
-
-def touching(points, body, body_faces, device, outward=None, **settings):
-    """A simulation whose garment vertices are these points, with its contact planes found."""
-    rest, faces = sheet(len(points) // 2 - 1, 1, 1.0, 0.1)
-    assert len(rest) == len(points)
-    settings = ContactSettings(self_thickness=0.0, **settings)
-    model = build_cloth_model(rest, faces, Fabric())
-    simulation = ClothSimulation(model, body_faces, body, contact_settings=settings, device=device)
-    simulation.start(points)
-    if outward is not None:
-        simulation.set_outward(outward)
-    simulation._contact.find(simulation._positions, simulation._moving)
-    frozen = simulation._contact.frozen
-    shape = (len(points), contact_planes.PLANES)
-    return (
-        frozen.face.numpy().reshape(shape),
-        frozen.point.numpy().reshape(*shape, 3),
-        frozen.normal.numpy().reshape(*shape, 3),
-    )
-
-
-def test_the_contact_plane_lies_at_the_closest_point_and_faces_outwards(device):
-    rng = np.random.default_rng(2)
-    body, faces = sphere(0.1, 2)
-    direction = rng.normal(size=(60, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    radius = rng.uniform(0.05, 0.15, size=(60, 1))
-    points = radius * direction
-    radius_of_search = 0.03
-    face, point, normal = touching(points, body, faces, device, radius=radius_of_search)
-    expected = np.array(
-        [min((closest_point(p, t) for t in body[faces]), key=lambda q: np.linalg.norm(p - q)) for p in points]
-    )
-    distance = np.linalg.norm(points - expected, axis=1)
-    near = distance < radius_of_search
-    assert np.array_equal(face[:, 0] >= 0, near)
-    assert near.any() and not near.all()
-    assert np.abs(np.linalg.norm(points - point[:, 0], axis=1) - distance)[near].max() < FLOAT32
-    # The polyhedron is convex, so inside and outside are told by its faces' planes.
-    corners = body[faces]
-    planes = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inside = ((points[:, None] - corners[None, :, 0]) * planes[None]).sum(2).max(1) < 0.0
-    gap = ((points - point[:, 0]) * normal[:, 0]).sum(1)
-    assert np.allclose(gap[near], np.where(inside, -distance, distance)[near], atol=FLOAT32)
-    assert np.allclose(np.linalg.norm(normal[near, 0], axis=1), 1.0, atol=1e-12)
-
-
-def test_a_surface_that_faces_away_from_the_vertex_is_passed_over(device):
-    # Two boards, facing down above the point and facing up below it; the nearer one belongs to another limb.
-    board, faces = sheet(4, 4, 0.2, 0.2)
-    upper, lower = raised(board, 0.01), board - [0.0, 0.0, 0.02]
-    body = np.concatenate([upper, lower])
-    body_faces = np.concatenate([faces[:, ::-1], faces + len(board)])
-    points = np.tile([[0.11, 0.07, 0.0]], (4, 1))
-    _face, _point, normal = touching(points, body, body_faces, device, np.tile([0.0, 0.0, 1.0], (4, 1)))
-    assert np.allclose(normal[:, 0], [0.0, 0.0, 1.0], atol=1e-6)
-    _face, _point, normal = touching(points, body, body_faces, device, np.tile([0.0, 0.0, -1.0], (4, 1)))
-    assert np.allclose(normal[:, 0], [0.0, 0.0, -1.0], atol=1e-6)
-
-
-def test_a_vertex_in_a_fold_of_the_body_is_held_by_both_sides(device):
-    # Two boards 4 mm apart that face each other, like the skin on both sides of a bent elbow.
-    board, faces = sheet(4, 4, 0.2, 0.2)
-    body = np.concatenate([raised(board, 0.002), board - [0.0, 0.0, 0.002]])
-    body_faces = np.concatenate([faces[:, ::-1], faces + len(board)])
-    points = np.array([[0.11, 0.07, z] for z in (0.0005, -0.0005, 0.0, 0.001)])
-    face, point, normal = touching(points, body, body_faces, device)
-    assert (face >= 0).all()
-    gap = ((points[:, None] - point) * normal).sum(2)
-    assert np.allclose(gap.sum(1), 0.004, atol=FLOAT32)
-    assert np.allclose((normal[:, 0] * normal[:, 1]).sum(1), -1.0, atol=1e-6)
-
-
-def test_a_convex_ridge_gives_one_plane(device):
-    body, faces = sphere(0.02, 0)  # An icosahedron: its faces meet at 138 degrees, its edges are sharp.
-    top = body[np.argmax(body[:, 2])]
-    points = np.tile(1.05 * top, (4, 1))
-    face, _point, _normal = touching(points, body, faces, device)
-    assert (face[:, 0] >= 0).all() and (face[:, 1] == -1).all()
 
 
 def closest_distance_of_edges(p, q):
