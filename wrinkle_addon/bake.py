@@ -44,6 +44,9 @@ STATES = "states"
 UNTANGLINGS = 1
 """How often a garment that settles with its layers through each other is drawn apart."""
 
+REST_EFFORT = 4
+"""How many times as many linearisations the rest pose may take: what it lacks shows in every sample."""
+
 SLIDE = 0.08
 """How far cloth may slide from the limb that it lies on in the rest pose onto another one [m]."""
 
@@ -61,8 +64,7 @@ class BakeSettings:
         rest_tolerance: Residual at which the rest pose is in equilibrium, in nodal weights; what it lacks would show
             in every sample, far from the joint that moves.
         settle_tolerance: Residual at which a sample is in equilibrium.
-        settle_iterations: Bound on the linearisations of one equilibrium.
-        rest_iterations: The same in the rest pose.
+        settle_iterations: Bound on the linearisations of one equilibrium; the rest pose may take four times as many.
         trapped: Share of the vertices that need not come to rest, caught where the body cuts into itself.
         pin_stiffness: How hard a fully pinned vertex is held to the skin [N/m].
     """
@@ -75,7 +77,6 @@ class BakeSettings:
     rest_tolerance: float = 0.05
     settle_tolerance: float = 0.3
     settle_iterations: int = 80
-    rest_iterations: int = 300
     trapped: float = 0.005
     pin_stiffness: float = 20.0
 
@@ -372,7 +373,9 @@ class Wearer:
         self._place(Pose.at_rest(self.rig))
         self.simulation.start(self.garment.positions)
         self.simulation.move_body(self.bodies.positions(self._pose))
-        return self.settle(self.settings.rest_tolerance, trapped=0.0, iterations=self.settings.rest_iterations)
+        return self.settle(
+            self.settings.rest_tolerance, trapped=0.0, iterations=REST_EFFORT * self.settings.settle_iterations
+        )
 
     def begin(self, positions: FloatArray, pose: Pose) -> None:
         """Start from a garment that lies still in this pose [m], held by friction."""
