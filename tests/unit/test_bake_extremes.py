@@ -82,7 +82,7 @@ def test_a_garment_that_starts_in_the_body_comes_out_if_it_is_cut_wide_enough(
 def test_a_garment_far_too_tight_stays_in_the_body_and_that_is_told(tmp_path: Path):
     """Half as wide as the arm: stretched to twice its width it presses harder than contact does."""
     report = settled(bake_of(degrees=(20.0,), gap=-0.02), tmp_path)
-    assert report["inside"] > 100 and report["deepest_mm"] > 5.0 and "restless" in report
+    assert report["inside"] > 100 and report["deepest_mm"] > 5.0
 
 
 @pytest.mark.parametrize("times", [2.0, 3.0])
