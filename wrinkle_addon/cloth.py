@@ -35,6 +35,9 @@ STANDARD_GRAVITY = 9.80665
 # A time step this long [s] has next to no inertia against the stiffness of any fabric.
 MASSLESS_SPAN = 10.0
 
+# Below this time step [s] a garment is as heavy as helps.
+HEAVY_SPAN = 0.1
+
 # A step that lets the residual grow by more than this went too far.
 MOST_GROWTH = 1.1
 
@@ -249,7 +252,8 @@ class ClothSimulation:
         kept = np.zeros(self.world_count)
         moving = np.ones(self.world_count, bool)
         residual = np.full(self.world_count, np.inf)
-        length, massless = np.ones(self.world_count), np.zeros(self.world_count, bool)
+        length = share = np.ones(self.world_count)
+        massless = np.zeros(self.world_count, bool)
         iteration = linear_total = 0
         self._rest()
         for iteration in range(max_iterations + 1):
@@ -257,11 +261,14 @@ class ClothSimulation:
             self._set_inertia(self.positions, np.zeros(self.world_count))
             self._evaluate_gradient()
             before, residual = residual, np.where(moving, self._rms_residual(trapped), residual)
+            # Planes are found anew between steps, out of the line search's sight.
+            far = (residual > MOST_GROWTH * before) & self._contact.touches()
             if iteration:
-                # Planes are found anew between steps, out of the line search's sight.
-                well = (length == 1.0) & ((residual < MOST_GROWTH * before) | ~self._contact.touches())
+                well = (length == share) & ~far
                 kept = np.where(well, np.where(massless, np.minimum(kept + 0.2, 1.0), kept), 0.5 * kept)
                 span = np.where(well, np.minimum(2.0 * span, 1.0e3), np.maximum(0.25 * span, 1.0 / 240.0))
+            # No mass is heavy against a wall: what goes back and forth between two goes half the way back.
+            share = np.where(far & (span < HEAVY_SPAN), 0.5, 1.0)
             # A world that is done must not go on with its neighbours, or its result would depend on them.
             moving &= residual > tolerance
             if not moving.any() or iteration == max_iterations:
@@ -270,7 +277,7 @@ class ClothSimulation:
             self._inverse_dt2.assign(1.0 / span**2)
             massless = span >= MASSLESS_SPAN
             self._kept.assign(np.where(massless, kept, 0.0))
-            iterations, length = self._newton_step()
+            iterations, length = self._newton_step(share)
             linear_total += iterations
         self._moving.fill_(1)
         self._kept.zero_()
@@ -332,8 +339,11 @@ class ClothSimulation:
         # Only now: a search that overshoots and comes back must not drag the anchors along.
         self._contact.follow(self._positions, self._moving)
 
-    def _newton_step(self) -> tuple[int, FloatArray]:
+    def _newton_step(self, share: FloatArray | float = 1.0) -> tuple[int, FloatArray]:
         """One linearisation at the frozen contact: conjugate gradients, then the line search.
+
+        Args:
+            share: Most of its step that each world takes.
 
         Returns the iterations of the former and the share of its step that the latter left each world.
         """
@@ -349,7 +359,7 @@ class ClothSimulation:
         # A nearly singular Hessian asks for steps that its own linearisation does not bear.
         longest = np.linalg.norm(step, axis=2).max(1)
         self._check_numbers(before, self._system.first_energy.numpy(), longest)
-        length = np.minimum(1.0, settings.longest_step / np.maximum(longest, 1e-12))
+        length = np.minimum(share, settings.longest_step / np.maximum(longest, 1e-12))
         worse = np.zeros(self.world_count, bool)
         for _ in range(settings.line_search_halvings + 1):
             self._positions.assign(start + length[:, None, None] * step)
