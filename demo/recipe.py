@@ -67,12 +67,12 @@ FULL = Recipe(
     expected={
         "character": 15.0,
         "set-up": 10.0,
-        "bake": 410.0,
+        "bake": 600.0,
         "synthesis": 5.0,
-        "references": 170.0,
-        "errors": 8.0,
-        "pictures": 125.0,
-        "film": 230.0,
+        "references": 300.0,
+        "errors": 12.0,
+        "pictures": 90.0,
+        "film": 240.0,
     },
 )
 QUICK = Recipe(
