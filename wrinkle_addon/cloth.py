@@ -36,7 +36,7 @@ STANDARD_GRAVITY = 9.80665
 MASSLESS_SPAN = 10.0
 
 # Below this time step [s] a garment is as heavy as helps.
-HEAVY_SPAN = 0.1
+HEAVY_SPAN = 0.02
 
 # A step that lets the residual grow by more than this went too far.
 MOST_GROWTH = 1.1
