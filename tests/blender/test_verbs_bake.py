@@ -124,7 +124,8 @@ def test_a_character_in_centimetres_is_baked_in_metres(wrinkle, tmp_path: Path, 
     baked, expected = WrinkleDatabase.open(tmp_path / "sleeve.wrinkles"), WrinkleDatabase.open(whole)
     np.testing.assert_allclose(baked.header.rig.lengths, [0.3, 0.3], rtol=1e-5)
     # Single precision in other units, and an equilibrium that is found only to its tolerance.
-    np.testing.assert_allclose(baked.rest, expected.rest, atol=5e-4)
+    # Friction lets cloth rest in more than one place, and the two are rounded apart; a wrong unit is metres off.
+    np.testing.assert_allclose(baked.rest, expected.rest, atol=3e-3)
     out = tmp_path / "sleeve.pc2"
     assert wrinkle("synthesize", arm, "--out", out).code == 0
     evaluated = wrinkle("evaluate", arm, "--reference", out, "--json").result
