@@ -143,30 +143,12 @@ class ContactSearch:
 
         Where ``following`` is not 0, they follow the vertices that slip, and new contacts stick; elsewhere they stay.
         """
-        settings, c = self.settings, self.frozen
+        c = self.frozen
         self._launch(
             contact.update_anchors,
             self._shape,
-            [
-                positions,
-                self._area,
-                self._body.points,
-                self._body.faces,
-                c.face,
-                self._planes.weights,
-                c.point,
-                c.normal,
-                wp.float64(settings.thickness),
-                wp.float64(settings.pressure),
-                wp.float64(settings.depth),
-                wp.float64(self._fabric.friction),
-                wp.float64(self._fabric.holding_friction),
-                wp.float64(settings.slip),
-                following,
-                self.anchor_face,
-                self.anchor_weights,
-            ],
-            [c.anchor, c.friction_bound],
+            [positions, self._area, self._body, self._planes, self._law, following],
+            [self.anchor_face, self.anchor_weights, c.anchor, c.friction_bound],
         )
 
     def touches(self) -> NDArray[np.bool_]:
@@ -176,35 +158,23 @@ class ContactSearch:
     def expel(self, positions: wp.array, limit: float) -> None:
         """Put vertices deeper in the body than ``limit`` [m] on its skin, unless a fold's other side is there."""
         self._find_planes(positions)
-        c = self.frozen
         depths = [wp.float64(limit), wp.float64(self.settings.depth)]
-        self._launch(contact.expel_vertices, self._shape, [c.face, c.point, c.normal, *depths, positions], [])
+        self._launch(contact.expel_vertices, self._shape, [self._planes, *depths, positions], [])
 
     def hold(self, gradient: wp.array) -> None:
         """Place the anchors of the planes found last so that friction balances a gradient [N] taken without it."""
-        c = self.frozen
         self._launch(
             contact.hold_anchors,
             self._shape,
-            [
-                gradient,
-                self._body.points,
-                self._body.faces,
-                c.face,
-                c.point,
-                c.normal,
-                c.friction_bound,
-                wp.float64(self.settings.slip),
-            ],
+            [gradient, self._body, self._planes, self.frozen.friction_bound, self._law.slip],
             [self.anchor_face, self.anchor_weights],
         )
 
     def clearance(self, positions: wp.array) -> NDArray[np.float32]:
         """Signed distance of every vertex to the body [m], negative inside, 1e6 far away."""
         self._find_planes(positions)
-        c = self.frozen
         gap = wp.zeros(self._shape, dtype=wp.float32, device=self._device)
-        self._launch(contact.measure_depth, self._shape, [positions, c.face, c.point, c.normal], [gap])
+        self._launch(contact.measure_depth, self._shape, [positions, self._planes], [gap])
         return gap.numpy()
 
     def _find_planes(self, positions: wp.array, remembering: wp.array | None = None) -> None:
@@ -282,6 +252,12 @@ class ContactSearch:
         planes.point, planes.normal = self._zeros(shape, wp.vec3d), self._zeros(shape, wp.vec3d)
         planes.hollow = self._zeros(shape, wp.vec3)
         self._body_reach, self._planes = reach, planes
+        law = contact.ContactLaw()
+        for name in ("thickness", "depth", "slip", "pressure"):
+            setattr(law, name, wp.float64(getattr(settings, name)))
+        law.friction = wp.float64(self._fabric.friction)
+        law.holding = wp.float64(self._fabric.holding_friction)
+        self._law = law
         c = assembly.Contact()
         c.thickness = wp.float64(settings.thickness)
         c.pressure = wp.float64(settings.pressure)
