@@ -21,7 +21,7 @@ from .cloth_contact import ContactSearch, ContactSettings, Limbs
 from .cloth_model import ClothModel, FloatArray
 from .cloth_state import ClothState, SettleReport, SolverSettings
 from .divergence import find_divergence, first_lost
-from .elasticity import Elasticity, membrane_of
+from .elasticity import Elasticity, upload_garment
 from .linear_solver import BlockSystem
 from .settle_safeguards import SettleSafeguards
 from .surface import BodyVolume, SurfaceMeasures
@@ -464,19 +464,10 @@ class ClothSimulation:
 
     def _upload_garment(self, pin_stiffness: ArrayLike | None) -> assembly.Garment:
         model = self.model
-        garment = assembly.Garment()
-        garment.faces = wp.array(model.faces, dtype=wp.int32, device=self.device)
-        garment.rest_inverse = wp.array(model.rest_inverse, dtype=wp.mat22d, device=self.device)
-        garment.membrane = membrane_of(model.fabric)
-        for name in ("rest_area", "mass", "area", "bending_coefficients"):
-            setattr(garment, name, wp.array(getattr(model, name), dtype=wp.float64, device=self.device))
-        for name in ("corner_start", "corners", "bending_start", "bending_columns"):
-            setattr(garment, name, wp.array(getattr(model, name), dtype=wp.int32, device=self.device))
         pins = np.zeros(model.vertex_count) if pin_stiffness is None else np.asarray(pin_stiffness, np.float64)
         if pins.shape != (model.vertex_count,) or not (pins >= 0.0).all():
             raise ValueError(f"pin_stiffness must be {model.vertex_count} numbers that are not negative.")
-        garment.pin_stiffness = wp.array(pins, dtype=wp.float64, device=self.device)
-        return garment
+        return upload_garment(model, pins, self.device)
 
     def _allocate_state(self) -> None:
         def array(shape: tuple[int, ...] | int, dtype: type) -> wp.array:

@@ -60,6 +60,29 @@ class Limbs:
     of_vertices: IntArray
 
 
+def hold_pairs(contact: assembly.Contact, capacity: int, device: Any) -> None:
+    """Make room for this many pairs of the garment with itself."""
+    contact.pair_vertices = wp.zeros(capacity, dtype=wp.vec4i, device=device)
+    contact.pair_weights = wp.zeros(capacity, dtype=wp.vec4, device=device)
+    contact.pair_normal = wp.zeros(capacity, dtype=wp.vec3, device=device)
+    contact.pair_strength = wp.zeros(capacity, dtype=wp.float32, device=device)
+    contact.incident = wp.zeros(4 * capacity, dtype=wp.int32, device=device)
+
+
+def list_incident(contact: assembly.Contact) -> None:
+    """For every vertex, the pairs that push it."""
+    capacity, device = len(contact.pair_strength), contact.pair_strength.device
+    pairs = [contact.pair_total, contact.pair_vertices]
+    start, count = contact.incident_start, contact.incident_count
+    count.zero_()
+    wp.launch(self_contact.count_incident, dim=capacity, inputs=pairs, outputs=[count], device=device)
+    wp.utils.array_scan(count, start, inclusive=False)
+    count.zero_()
+    found = [count, contact.incident]
+    wp.launch(self_contact.fill_incident, dim=capacity, inputs=[*pairs, start], outputs=found, device=device)
+    wp.launch(self_contact.sort_incident, dim=len(count), inputs=[start, count, contact.incident], device=device)
+
+
 class ContactSearch:
     """Contact planes, friction anchors and self-contact pairs of every world.
 
@@ -214,20 +237,7 @@ class ContactSearch:
         ):
             rows = [self._partner, self._pair_start[owners], self._pair_count[owners]]
             self._launch(kernel, shape, [*inputs, *rows, area, wp.float64(self.settings.pressure)], found)
-        self._list_incident()
-
-    def _list_incident(self) -> None:
-        """For every vertex, the pairs that push it."""
-        c = self.frozen
-        pairs = [c.pair_total, c.pair_vertices]
-        c.incident_count.zero_()
-        self._launch(self_contact.count_incident, len(c.pair_strength), pairs, [c.incident_count])
-        wp.utils.array_scan(c.incident_count, c.incident_start, inclusive=False)
-        c.incident_count.zero_()
-        found = [c.incident_count, c.incident]
-        self._launch(self_contact.fill_incident, len(c.pair_strength), [*pairs, c.incident_start], found)
-        owners = len(c.incident_count)
-        self._launch(self_contact.sort_incident, owners, [c.incident_start, c.incident_count, c.incident], [])
+        list_incident(c)
 
     def _make_body(self, faces: IntArray, positions: FloatArray) -> None:
         start, corners = group(faces.ravel(), positions.shape[1])
@@ -290,10 +300,7 @@ class ContactSearch:
 
     def _hold_pairs(self, capacity: int) -> None:
         """Make room for this many self-contact pairs."""
-        c = self.frozen
-        c.pair_vertices, c.pair_weights = self._zeros(capacity, wp.vec4i), self._zeros(capacity, wp.vec4)
-        c.pair_normal, c.pair_strength = self._zeros(capacity, wp.vec3), self._zeros(capacity, wp.float32)
-        c.incident = self._zeros(4 * capacity, wp.int32)
+        hold_pairs(self.frozen, capacity, self._device)
         self.pair_energy, self.pair_force = self._zeros(capacity, wp.float64), self._zeros(capacity, wp.vec3)
 
     def _meshes(self, points: wp.array, faces: wp.array) -> tuple[list[wp.Mesh], wp.array]:
