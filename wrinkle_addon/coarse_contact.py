@@ -65,7 +65,7 @@ class CoarseContact:
         self._count = model.vertex_count
         self._lift = self._upload(lift, wp.float64)
         self._faces = self._upload(model.faces, wp.int32)
-        self._area = self._upload(model.area, wp.float64)
+        self._area, self._mass = self._upload(model.area, wp.float64), self._upload(model.mass, wp.float64)
         self._corners = [self._upload(values, wp.int32) for values in (model.corner_start, model.corners)]
         self.body, self._body_meshes = make_body(body_faces, body_positions[None], device)
         body_count = len(body_positions)
@@ -119,16 +119,16 @@ class CoarseContact:
         """Move the body to where it is at the end of the step."""
         self._launch(frame_steps.move_body, self.points.last.shape, [self.points, self.normals, clock, self.body], [])
 
-    def launch_freeze(self, positions: wp.array, target: wp.array) -> None:
+    def launch_freeze(self, positions: wp.array, target: wp.array, clock: wp.array) -> None:
         """Freeze planes, friction and pairs at these positions [m]; without forces the garment flies to ``target``."""
+        c = self.frozen
         self._launch_planes(positions)
         inputs = [positions, target, self._area, self._laws[0], self.planes]
         self._launch(frame_steps.anticipate_contact, self._count, inputs, [self.ahead, self.touching])
         self._launch_anchors(positions, self._none)
-        inputs = [target, self.planes, self.frozen.anchor, wp.float64(self.settings.slip)]
-        self._launch(frame_steps.linearise_friction, self._count, inputs, [self.frozen.friction_bound])
+        inputs = [target, self.planes, self._mass, clock, wp.float64(self.settings.slip)]
+        self._launch(frame_steps.linearise_friction, self._count, inputs, [c.anchor, c.friction_bound])
         if self._pair_count:
-            c = self.frozen
             inputs = [positions, c.pair_vertices, wp.float64(self.settings.pressure), self._pairs]
             found = [c.pair_weights, c.pair_normal, c.pair_strength]
             self._launch(layers.place_layer_pairs, self._pair_count, inputs, found)

@@ -261,14 +261,14 @@ class CoarseSimulation:
         contact_.launch_move(self._clock)
         driven = [motion, self._garment.pin_stiffness, self._inverse_dt2, self._system.solution]
         self._launch(frame_steps.begin_step, [self._skin, self._clock, *driven])
-        contact_.launch_freeze(positions, motion.target)
+        contact_.launch_freeze(positions, motion.target, self._clock)
         self._record_gradient()
         self._system.assemble(positions, self._inverse_dt2, self._kept)
         self._system.precondition(positions)
         self._system.hold_vertices(motion.held)
         self._system.launch_solve(self._gradient, self._moving, TOLERANCE, ITERATIONS)
         self._launch(frame_steps.move_vertices, [self._system.solution, wp.float64(LONGEST_STEP), positions])
-        self._launch(frame_steps.end_step, [self._clock, contact_.touching, motion])
+        self._launch(frame_steps.end_step, [self._clock, contact_.touching, contact_.planes, motion])
         contact_.launch_expel(motion)
         contact_.launch_follow(positions)
 

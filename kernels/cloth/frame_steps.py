@@ -1,7 +1,8 @@
 """Time steps within a frame, all on the device: where things are in between, inertia, and what a step ends with.
 
-A frame takes a few steps. Between two frames, what is given (the body, the skinned garment) moves along the parabola
-through its last three places, so that its velocity does not jump at every frame. Numbers that differ from step to step
+A frame takes a few steps. Between two frames, what is given (the body, the skinned garment) moves along a cubic that
+begins with its mean velocity over the frame before and this one and ends with that of this one: it jumps less than on
+a line, and does not shoot over the mark where a motion stops dead. Numbers that differ from step to step
 lie in one small array, the clock: the launches of a step are recorded once and replayed.
 """
 
@@ -56,11 +57,11 @@ class Path:
 @wp.func
 def path_point(path: Path, i: wp.int32, share: wp.float64) -> wp.vec3d:
     """Where a point is [m] when this share of the frame has passed."""
-    x = wp.vec3d(path.earlier[i])
-    y = wp.vec3d(path.last[i])
-    z = wp.vec3d(path.coming[i])
-    half = wp.float64(0.5)
-    return y + share * (half * (z - x) + share * (half * (z + x) - y))
+    last = wp.vec3d(path.last[i])
+    coming = wp.vec3d(path.coming[i])
+    speed = wp.float64(0.5) * (coming - wp.vec3d(path.earlier[i]))
+    gain = coming - last - speed
+    return last + share * (speed + share * (wp.float64(2.0) - share) * gain)
 
 
 @wp.struct
@@ -162,20 +163,22 @@ def move_vertices(
 
 
 @wp.kernel
-def end_step(clock: wp.array[wp.float64], touching: wp.array[wp.int32], motion: Motion):
+def end_step(clock: wp.array[wp.float64], touching: wp.array[wp.int32], planes: ContactPlanes, motion: Motion):
     """Velocities at the end of the step.
 
     A blow of the body makes a corner in a vertex's path. Looked back over by the second order, it would bounce off with
-    half its speed; what touches goes on as from a step of the first order.
+    half its speed; along the contact's normal what touches goes on as from a step of the first order.
     """
     vertex = wp.tid()
     x = motion.positions[0, vertex]
+    v = (x + motion.past[0, vertex]) / clock[SPAN]
     if touching[vertex] != 0:
-        speed = (x - motion.before[0, vertex]) / clock[LENGTH]
-        motion.velocities[0, vertex] = speed
-        motion.velocities_before[0, vertex] = speed
-    else:
-        motion.velocities[0, vertex] = (x + motion.past[0, vertex]) / clock[SPAN]
+        n = planes.normal[0, vertex * PLANES]
+        speed = wp.dot(x - motion.before[0, vertex], n) / clock[LENGTH]
+        v = v + n * (speed - wp.dot(v, n))
+        v_before = motion.velocities_before[0, vertex]
+        motion.velocities_before[0, vertex] = v_before + n * (speed - wp.dot(v_before, n))
+    motion.velocities[0, vertex] = v
 
 
 @wp.kernel
@@ -289,21 +292,30 @@ def anticipate_contact(
 def linearise_friction(
     target: wp.array2d[wp.vec3d],
     planes: ContactPlanes,
-    anchor: wp.array2d[wp.vec3d],
+    mass: wp.array[wp.float64],
+    clock: wp.array[wp.float64],
     slip: wp.float64,
     # in and out
+    anchor: wp.array2d[wp.vec3d],
     bound: wp.array2d[wp.float64],
 ):
-    """Make friction a spring to its anchor that holds its bound [N] where the vertex flies (``target`` [m]).
+    """Make friction a spring that holds its bound [N] where the vertex flies (``target`` [m]).
 
-    Within one linear system a constant force would throw back what is lighter than it. The spring's stiffness [N/m]
-    takes the bound's place, which makes it a bound over :data:`SPRING_SLIP`.
+    What slides feels a constant force, a spring to far away; but within one linear system a constant force would throw
+    back what is lighter than it, so that is held by a spring to its anchor. Both are springs shorter than
+    :data:`SPRING_SLIP`, over which the bound is counted.
     """
     vertex = wp.tid()
     plane = vertex * PLANES
-    if bound[0, plane] > wp.float64(0.0):
-        drift = tangential(target[0, vertex] - anchor[0, plane], planes.normal[0, plane])
-        bound[0, plane] = SPRING_SLIP * bound[0, plane] / wp.max(wp.length(drift), slip)
+    if bound[0, plane] <= wp.float64(0.0):
+        return
+    drift = tangential(target[0, vertex] - anchor[0, plane], planes.normal[0, plane])
+    length = wp.length(drift)
+    thrown = bound[0, plane] * clock[SPAN] * clock[SPAN] / mass[vertex]
+    if length > slip and thrown < wp.float64(0.5) * length:
+        anchor[0, plane] = target[0, vertex] - (SPRING_SLIP / length) * drift
+    else:
+        bound[0, plane] = SPRING_SLIP * bound[0, plane] / wp.max(length, slip)
 
 
 @wp.kernel
