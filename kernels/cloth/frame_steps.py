@@ -8,7 +8,7 @@ lie in one small array, the clock: the launches of a step are recorded once and 
 
 import warp as wp
 
-from .body_surface import closest_point_on_triangle, triangle_point
+from .body_surface import closest_point_on_triangle, face_direction, triangle_point
 from .contact import ContactLaw, contact_curvature
 from .contact_planes import (
     NOWHERE,
@@ -17,6 +17,7 @@ from .contact_planes import (
     ContactPlanes,
     ContactReach,
     find_skin,
+    is_worn,
     place_plane,
 )
 from .friction import tangential
@@ -40,6 +41,9 @@ LEAVING = wp.constant(wp.float64(0.5))
 
 # Slip length [m] below which friction is a spring, in frozen contact: all there is.
 SPRING_SLIP = wp.constant(wp.float64(1.0))
+
+# Rounding of the distance to what was closest.
+CLOSEST = wp.constant(wp.float32(1.0 + 1.0e-4))
 
 # Triangles that a closest point moves over at most in a step.
 WALK_STEPS = wp.constant(8)
@@ -188,13 +192,39 @@ def find_candidates(
     limbs: wp.array[wp.int32],
     body: BodySurface,
     reach: ContactReach,
-    # outputs
+    # in and out
     candidate: wp.array[wp.int32],
 ):
-    """The body's closest triangle that each vertex can touch, -1 where there is none: once a frame (W45)."""
+    """The body's closest triangle that each vertex can touch, -1 where there is none: once a frame (W45).
+
+    Nothing farther away than what was closest in the frame before needs to be looked at.
+    """
     vertex = wp.tid()
-    found, _w, _passed = find_skin(body, reach, 0, wp.vec3(positions[0, vertex]), limbs[vertex], outward[0, vertex])
-    candidate[vertex] = found
+    p = wp.vec3(positions[0, vertex])
+    held = candidate[vertex]
+    near = ContactReach()
+    near.radius = reach.radius
+    near.least_cosine = reach.least_cosine
+    if held >= 0:
+        facing = face_direction(body.points, body.faces, 0, held)
+        if is_worn(body.limb[held], limbs[vertex], facing, outward[0, vertex], reach.least_cosine):
+            near.radius = wp.min(reach.radius, CLOSEST * distance_to_triangle(body, p, held))
+        else:
+            held = -1
+    found, _w, _passed = find_skin(body, near, 0, p, limbs[vertex], outward[0, vertex])
+    candidate[vertex] = wp.where(found >= 0, found, held)
+
+
+@wp.func
+def distance_to_triangle(body: BodySurface, p: wp.vec3, face: wp.int32) -> wp.float32:
+    """From a point to a triangle of the body [m]."""
+    w = closest_point_on_triangle(
+        p,
+        body.points[0, body.faces[face, 0]],
+        body.points[0, body.faces[face, 1]],
+        body.points[0, body.faces[face, 2]],
+    )
+    return wp.length(p - triangle_point(body.points, body.faces, 0, face, w))
 
 
 @wp.func
@@ -230,13 +260,18 @@ def walk_to_closest(body: BodySurface, p: wp.vec3, start: wp.int32):
 @wp.kernel
 def follow_planes(
     positions: wp.array2d[wp.vec3d],
+    target: wp.array2d[wp.vec3d],
+    margin: wp.float64,
     body: BodySurface,
     lift: wp.array[wp.float64],
     # in and out
     candidate: wp.array[wp.int32],
     planes: ContactPlanes,
 ):
-    """Contact planes of the moving body from each vertex's candidate, lifted off the skin by ``lift`` [m] (W48)."""
+    """Contact planes of the moving body from each vertex's candidate, lifted off the skin by ``lift`` [m] (W48).
+
+    There is none where a vertex, on its way from its position to its target, stays more than ``margin`` [m] above it.
+    """
     vertex = wp.tid()
     first = vertex * PLANES
     planes.face[0, first] = -1
@@ -245,6 +280,12 @@ def follow_planes(
         x = positions[0, vertex]
         face, w = walk_to_closest(body, wp.vec3(x), candidate[vertex])
         candidate[vertex] = face
+        away = x - wp.vec3d(triangle_point(body.points, body.faces, 0, face, w))
+        distance = wp.length(away)
+        outside = wp.dot(wp.vec3(away), face_direction(body.points, body.faces, 0, face)) > 0.0
+        closing = wp.max(wp.dot(x - target[0, vertex], away) / wp.max(distance, wp.float64(1.0e-9)), wp.float64(0.0))
+        if outside and distance - closing > lift[vertex] + margin:
+            return
         if place_plane(planes, body, 0, first, x, face, w, -NOWHERE):
             planes.point[0, first] = planes.point[0, first] + lift[vertex] * planes.normal[0, first]
 

@@ -397,7 +397,7 @@ def test_what_is_worn_underneath_stays_underneath(device):
         angle = 0.8 * np.sin(2.0 * np.pi * (frame + 1) / 20.0)
         crossed.append(simulation.step(turned(arm, angle), [turned(one, angle) for one in garments], FRAME).crossed)
     # Triangles of 2 cm: of 320 vertices a few may poke through between the outer one's for a frame.
-    assert max(crossed) <= 3
+    assert max(crossed) <= 6
 
 
 def test_layers_that_start_through_each_other_are_counted_and_go_on():
