@@ -38,7 +38,9 @@ def build_parser() -> Parser:
 
     demo = add("demo", "the main job on a real human body: bake, play a clip, pictures, film, report")
     demo.add_argument("--out", type=Path, default=Path("demo-out"), help="folder for the results")
-    demo.add_argument("--quick", action="store_true", help="at most 6 samples at 4,000 vertices")
+    size = demo.add_mutually_exclusive_group()
+    size.add_argument("--quick", action="store_true", help="at most 6 samples at 4,000 vertices")
+    size.add_argument("--whole", choices=("shirt", "trousers"), help="the paper's whole plan for this garment; an hour")
     _add_character_verbs(add)
     _add_bake_verbs(add)
     _add_clip_verbs(add)
