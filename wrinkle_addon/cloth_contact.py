@@ -299,7 +299,10 @@ class ContactSearch:
     def _meshes(self, points: wp.array, faces: wp.array) -> tuple[list[wp.Mesh], wp.array]:
         """One bounding volume tree a world over rows of ``points``."""
         indices = wp.array(faces.numpy().ravel(), dtype=wp.int32, device=self._device)
-        meshes = [wp.Mesh(points=points[world], indices=indices) for world in range(self._shape[0])]
+        meshes = [
+            wp.Mesh(points=points[world], indices=indices, support_winding_number=True)
+            for world in range(self._shape[0])
+        ]
         return meshes, wp.array([mesh.id for mesh in meshes], dtype=wp.uint64, device=self._device)
 
     def _zeros(self, shape: tuple[int, ...] | int, dtype: type) -> wp.array:
