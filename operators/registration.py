@@ -8,13 +8,14 @@ from types import ModuleType
 import bpy
 
 from ..wrinkle_addon.blender import command, handlers, panels, preferences, properties
-from . import bake, cancel_bake, setup_garment, take_ranges
+from . import bake, cancel_bake, setup_garment, show_influence, take_ranges
 
 MODULES: Sequence[ModuleType] = (
     preferences,
     properties,
     setup_garment,
     take_ranges,
+    show_influence,
     bake,
     cancel_bake,
     panels,

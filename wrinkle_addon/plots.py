@@ -1,4 +1,4 @@
-"""Plots of an evaluation: error over the clip, error by region, curvature over the clip. Needs Matplotlib."""
+"""Plots of an evaluation and of the joints' influence. Needs Matplotlib."""
 
 from __future__ import annotations
 
@@ -7,6 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from .influence import influence_colours
+from .rig import FloatArray
+from .topology import IntArray
 
 COLOURS = {"skinning": "#999999", "nearest": "#c9a227", "paper": "#3b7dd8", "ours": "#c0392b", "reference": "#222222"}
 
@@ -44,6 +48,44 @@ def plot_evaluation(result: Mapping[str, Any], folder: Path) -> list[Path]:
     axes.set(ylabel="RMS error (mm)", title="By region")
     paths.append(_finish(figure, axes, folder / "regions.png"))
     return paths
+
+
+def plot_influence(
+    positions: FloatArray, faces: IntArray, axes: FloatArray, maps: Mapping[str, FloatArray], title: str, path: Path
+) -> Path:
+    """Draw maps over a garment from the front and from the back, a row each, as figure 6; returns the path.
+
+    Args:
+        positions, faces: The garment [m], shape [vertex_count, 3], and its triangles.
+        axes: Columns left, up and forward of the body, shape [3, 3].
+        maps: Values from 0 to 1 by the row's title, shape [vertex_count].
+        title: Of the whole figure.
+        path: The PNG file.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+    from matplotlib.collections import PolyCollection
+
+    triangles = (positions @ axes)[faces]
+    figure, grid = pyplot.subplots(len(maps), 2, figsize=(9, 3.2 * len(maps)), squeeze=False)
+    for row, (name, values) in zip(grid, maps.items(), strict=True):
+        colours = influence_colours(values[faces].mean(1))
+        for side, view, place in ((1.0, "front", row[0]), (-1.0, "back", row[1])):
+            # The character's left is at the right of who looks at it; near triangles are drawn over far ones.
+            order = np.argsort(side * triangles[:, :, 2].mean(1))
+            outline = triangles[order, :, :2] * [side, 1.0]
+            place.add_collection(
+                PolyCollection(list(outline), facecolors=colours[order], edgecolors="face", linewidths=0.1)
+            )
+            place.set(xlabel=f"{name}, {view}", xticks=[], yticks=[], aspect="equal")
+            place.autoscale()
+    figure.suptitle(title)
+    figure.tight_layout()
+    figure.savefig(path, dpi=120)
+    pyplot.close(figure)
+    return path
 
 
 def _finish(figure: Any, axes: Any, path: Path) -> Path:

@@ -17,7 +17,7 @@ from ..database import MANIFEST, WrinkleDatabase
 from ..evaluate import EvaluatedFrame, worst_of
 from ..evaluate import evaluate as evaluate_frames
 from ..folder_verbs import choose_device
-from ..joint_wrinkles import Formulation, JointWrinkles
+from ..joint_wrinkles import BlendWeights, Formulation, JointWrinkles
 from ..losses import LossFinder, mean_losses
 from ..pc2 import PointCache, write_pc2
 from ..reference import SettledReference, SimulationSettings, simulate_clip
@@ -44,7 +44,7 @@ def synthesize(options: argparse.Namespace) -> Mapping[str, Any]:
     database = WrinkleDatabase.open(find_database(options, garment))
     scale = check_database(garment, database.header)
     formulation = Formulation(options.formulation) if options.formulation else Formulation[settings.formulation]
-    evaluator = JointWrinkles(database, formulation).bind(device)
+    evaluator = JointWrinkles(database, formulation, _weights(options, garment)).bind(device)
     clamped: dict[str, float] = {}
 
     def positions() -> Iterator[NDArray[np.float32]]:
@@ -59,6 +59,11 @@ def synthesize(options: argparse.Namespace) -> Mapping[str, Any]:
     text = [f"{len(frames)} frames written to {options.out}."]
     text += [f"{name} goes {angle:.0f} degrees beyond its samples." for name, angle in clamped.items()]
     return {"frames": len(frames), "cache": str(options.out), "clamped_deg": clamped, "text": "\n".join(text)}
+
+
+def _weights(options: argparse.Namespace, garment: bpy.types.Object) -> BlendWeights:
+    """The weights that are named, or those that the garment remembers."""
+    return BlendWeights(options.weights) if options.weights else BlendWeights[garment.wrinkles.weights]
 
 
 def simulate(options: argparse.Namespace) -> Mapping[str, Any]:
@@ -168,7 +173,8 @@ def evaluate(options: argparse.Namespace) -> Mapping[str, Any]:
                 upright, root = clip.pose.with_root_at_rest(stage.rig)
                 yield EvaluatedFrame(clip.frame, clip.pose, shape, apply(root, stage.positions(upright)), report)
 
-        result = evaluate_frames(database, compared(), job.body.faces, device)
+        weights = _weights(options, garment)
+        result = evaluate_frames(database, compared(), job.body.faces, device, weights)
     if options.plots is not None:
         from ..plots import plot_evaluation
 
