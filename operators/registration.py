@@ -8,7 +8,7 @@ from types import ModuleType
 import bpy
 
 from ..wrinkle_addon.blender import command, handlers, panels, preferences, properties
-from . import bake, cancel_bake, setup_garment, show_influence, take_ranges
+from . import bake, cancel_bake, setup_garment, show_influence, take_ranges, write_clip
 
 MODULES: Sequence[ModuleType] = (
     preferences,
@@ -18,6 +18,7 @@ MODULES: Sequence[ModuleType] = (
     show_influence,
     bake,
     cancel_bake,
+    write_clip,
     panels,
     handlers,
     command,

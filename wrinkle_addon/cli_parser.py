@@ -108,10 +108,22 @@ def _add_bake_verbs(add: AddVerb) -> None:
 def _add_clip_verbs(add: AddVerb) -> None:
     clip = (_file(), _garment(), _frames(), _device())
 
-    synthesize = add("synthesize", "play the method into a PC2 point cache", *clip)
+    synthesize = add("synthesize", "play the method into a point cache, an Alembic or a USD file", *clip)
     synthesize.add_argument("--formulation", choices=("offsets", "paper", "nearest"), help="left out, the stored one")
     _add_weights(synthesize)
-    synthesize.add_argument("--out", type=Path, required=True, help="the .pc2 file to write")
+    synthesize.add_argument(
+        "--part",
+        metavar="FIRST:LAST",
+        help="only these of the frames; the run without it makes the rest and joins",
+    )
+    synthesize.add_argument(
+        "--blend",
+        type=Path,
+        help="also write this .blend file, where a Mesh Cache modifier plays the .pc2 file",
+    )
+    synthesize.add_argument(
+        "--out", type=Path, required=True, help="the .pc2, .abc, .usd, .usdc or .usda file to write"
+    )
 
     simulate = add("simulate", "simulate the clip into a PC2 point cache", *clip)
     simulate.add_argument("--fine", action="store_true", help="the full simulation of the garment itself")

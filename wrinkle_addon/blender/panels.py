@@ -43,6 +43,7 @@ class WRINKLE_PT_play(WrinklePanel, bpy.types.Panel):
         column.prop_search(settings, "mask", garment, "vertex_groups")
         column.prop(settings, "formulation")
         column.prop(settings, "weights")
+        layout.operator("wrinkle.write_clip", icon="EXPORT")
         if settings.enabled:
             _draw_status(context, layout, garment)
 
