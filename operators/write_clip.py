@@ -65,6 +65,8 @@ class WRINKLE_OT_write_clip(bpy.types.Operator):
         try:
             out = Path(bpy.path.abspath(self.filepath))
             check_result(out)
+            if garment.data.is_editmode:
+                raise ValueError("Leave edit mode first: what is edited cannot be written.")
             if not frames:
                 raise ValueError("The frame range is empty; give a first frame that is not after the last.")
             if self.play and out.suffix.lower() != CACHE:

@@ -233,11 +233,15 @@ def test_a_blender_without_an_exporter_says_so_before_any_work(
         bpy.ops.wrinkle.write_clip(filepath=str(tmp_path / "a.usd"))
 
 
-def test_the_operator_refuses_an_empty_range_and_a_cache_that_cannot_be_played(arm: Arm, tmp_path: Path) -> None:
+def test_the_operator_refuses_what_cannot_be_written_or_played(arm: Arm, tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="frame range is empty"):
         bpy.ops.wrinkle.write_clip(filepath=str(tmp_path / "a.pc2"), frame_start=5, frame_end=4)
     with pytest.raises(RuntimeError, match="Mesh Cache modifier plays"):
         bpy.ops.wrinkle.write_clip(filepath=str(tmp_path / "a.abc"), play=True)
+    bpy.ops.object.mode_set(mode="EDIT")
+    with pytest.raises(RuntimeError, match="Leave edit mode"):
+        bpy.ops.wrinkle.write_clip(filepath=str(tmp_path / "a.abc"))
+    bpy.ops.object.mode_set(mode="OBJECT")
     arm.sleeve.wrinkles.database = str(tmp_path / "none.wrinkles")
     with pytest.raises(RuntimeError, match="There is no database"):
         bpy.ops.wrinkle.write_clip(filepath=str(tmp_path / "a.pc2"))

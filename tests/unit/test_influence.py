@@ -135,7 +135,7 @@ def test_shares_add_up_to_one_and_windows_are_one_for_the_strongest():
     np.testing.assert_allclose(shares["a"], [0.75, 0.0, 0.0])
     np.testing.assert_allclose(shares["b"], [0.25, 1.0, 0.0])
     np.testing.assert_allclose(windows["a"], [1.0, 0.0, 0.0])
-    np.testing.assert_allclose(windows["b"], [1 / 3, 1.0, 0.0])
+    np.testing.assert_allclose(windows["b"], [np.sqrt(1 / 3), 1.0, 0.0])
 
 
 def test_colours_go_from_dark_blue_to_red_and_one_stray_vertex_does_not_darken_the_rest():
