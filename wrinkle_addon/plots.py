@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,18 +11,26 @@ import numpy as np
 
 from .influence import influence_colours
 from .rig import FloatArray
+from .storage import make_folder
 from .topology import IntArray
 
 COLOURS = {"skinning": "#999999", "nearest": "#c9a227", "paper": "#3b7dd8", "ours": "#c0392b", "reference": "#222222"}
 
 
+def check_plots(folder: Path) -> None:
+    """See before any work that plots can be drawn and written to a folder.
+
+    Raises:
+        ValueError: If Matplotlib is missing, or the folder cannot be written to; one sentence.
+    """
+    if importlib.util.find_spec("matplotlib") is None:
+        raise ValueError("Plots need Matplotlib, which is not installed here; leave --plots out, or install it.")
+    make_folder(folder)
+
+
 def plot_evaluation(result: Mapping[str, Any], folder: Path) -> list[Path]:
     """Draw the result of :func:`.evaluate.evaluate` into PNG files; returns their paths."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
+    pyplot = _pyplot()
     folder.mkdir(parents=True, exist_ok=True)
     frames = [entry["frame"] for entry in result["frames"]]
     paths = []
@@ -62,12 +71,9 @@ def plot_influence(
         title: Of the whole figure.
         path: The PNG file.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
     from matplotlib.collections import PolyCollection
 
+    pyplot = _pyplot()
     triangles = (positions @ axes)[faces]
     figure, grid = pyplot.subplots(len(maps), 2, figsize=(9, 3.2 * len(maps)), squeeze=False)
     for row, (name, values) in zip(grid, maps.items(), strict=True):
@@ -88,12 +94,20 @@ def plot_influence(
     return path
 
 
-def _finish(figure: Any, axes: Any, path: Path) -> Path:
+def _pyplot() -> Any:
+    """Matplotlib, drawing into files."""
+    import matplotlib
+
+    matplotlib.use("Agg")
     from matplotlib import pyplot
 
+    return pyplot
+
+
+def _finish(figure: Any, axes: Any, path: Path) -> Path:
     axes.legend()
     axes.grid(alpha=0.3)
     figure.tight_layout()
     figure.savefig(path, dpi=120)
-    pyplot.close(figure)
+    _pyplot().close(figure)
     return path

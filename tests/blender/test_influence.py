@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from small_character import Arm, Bumps, build_arm, empty_scene, evaluated_positions
+from wrinkle_synthesis.wrinkle_addon import plots
 from wrinkle_synthesis.wrinkle_addon.database import WrinkleDatabase
 from wrinkle_synthesis.wrinkle_addon.influence import influence_colours, measure_influence, scaled_influence
 from wrinkle_synthesis.wrinkle_addon.joint_wrinkles import BlendWeights, JointWrinkles
@@ -65,21 +66,33 @@ def test_a_garment_in_edit_mode_is_not_painted(arm: Arm) -> None:
     bpy.ops.object.mode_set(mode="OBJECT")
 
 
-def test_the_verb_tells_paints_and_plots(wrinkle, file: Path, database: Path, tmp_path: Path) -> None:
-    out, plots = tmp_path / "coloured.blend", tmp_path / "plots"
-    result = wrinkle("influence", file, "--out", out, "--plots", plots, "--json").result
+def test_the_verb_tells_and_paints(wrinkle, file: Path, database: Path, tmp_path: Path) -> None:
+    out = tmp_path / "coloured.blend"
+    result = wrinkle("influence", file, "--out", out, "--json").result
     elbow = result["joints"]["elbow_L"]
     assert elbow["samples"] == 3 and elbow["largest_mm"] > 0.0
     assert set(elbow["regions_mm"]) == {"shoulder_L", "elbow_L"}
     assert elbow["inside_of_bend"] is not None and result["joints"]["shoulder_L"]["inside_of_bend"] is None
-    assert sorted(Path(path).name for path in result["plots"]) == [
-        "influence_elbow_L.png", "influence_shoulder_L.png"
-    ]  # fmt: skip
-    assert all(Path(path).stat().st_size > 10_000 for path in result["plots"])
     bpy.ops.wm.open_mainfile(filepath=str(out))
     np.testing.assert_allclose(
         painted(bpy.data.objects["sleeve"], "elbow_L"), expected_colours(database, "elbow_L"), atol=1e-6
     )
+
+
+def test_the_verb_plots_every_joint(wrinkle, file: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    drawn = [Path(path) for path in wrinkle("influence", file, "--plots", tmp_path / "p", "--json").result["plots"]]
+    assert [path.name for path in drawn] == ["influence_elbow_L.png", "influence_shoulder_L.png"]
+    assert all(path.stat().st_size > 10_000 for path in drawn)
+
+
+@pytest.mark.parametrize("verb", ["influence", "evaluate"])
+def test_plots_without_matplotlib_are_refused_before_any_work(
+    wrinkle, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: str
+) -> None:
+    monkeypatch.setattr(plots.importlib.util, "find_spec", lambda name: None)
+    assert "Plots need Matplotlib" in wrinkle(verb, file, "--plots", tmp_path / "p").complaint
+    assert not (tmp_path / "p").exists()
 
 
 def test_the_verb_takes_the_joints_that_are_named(wrinkle, file: Path) -> None:

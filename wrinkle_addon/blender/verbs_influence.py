@@ -19,8 +19,8 @@ from ..influence import (
     scaled_influence,
 )
 from ..joint_wrinkles import JointWrinkles
+from ..plots import check_plots, plot_influence
 from ..rig import FloatArray
-from ..storage import make_folder
 from .files import check_output, save_character
 from .influence_colours import paint_influence
 from .matching import check_database
@@ -34,7 +34,7 @@ def influence(options: argparse.Namespace) -> Mapping[str, Any]:
     if options.out is not None:
         check_output(options.out, ".blend")
     if options.plots is not None:
-        make_folder(options.plots)
+        check_plots(options.plots)
     open_file(options)
     garment = find_garment(options)
     database = WrinkleDatabase.open(find_database(options, garment))
@@ -46,8 +46,6 @@ def influence(options: argparse.Namespace) -> Mapping[str, Any]:
     found = {name: _describe(database, name, measured[name], distance[name]) for name in joints}
     result: dict[str, Any] = {"joints": found}
     if options.plots is not None:
-        from ..plots import plot_influence
-
         header = database.header
         axes = find_anatomy(header.rig).frame.matrix
         result["plots"] = [

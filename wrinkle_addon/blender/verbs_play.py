@@ -19,9 +19,9 @@ from ..folder_verbs import choose_device
 from ..joint_wrinkles import BlendWeights, Formulation
 from ..losses import LossFinder, mean_losses
 from ..pc2 import PointCache, write_pc2
+from ..plots import check_plots, plot_evaluation
 from ..reference import SettledReference, SimulationSettings, simulate_clip
 from ..rig import FloatArray, Pose
-from ..storage import make_folder
 from ..wearer import Wearer
 from .character import SamplingStage, apply, sampling_stage
 from .clip import ClipFrame, parse_frames, read_clip
@@ -173,7 +173,7 @@ def evaluate(options: argparse.Namespace) -> Mapping[str, Any]:
     if options.losses and options.reference != "settle":
         raise ValueError("Losses are told apart at the equilibrium; use --losses with --reference settle.")
     if options.plots is not None:
-        make_folder(options.plots)
+        check_plots(options.plots)
     open_file(options)
     garment, frames = find_garment(options), find_frames(options)
     database = WrinkleDatabase.open(find_database(options, garment))
@@ -201,8 +201,6 @@ def evaluate(options: argparse.Namespace) -> Mapping[str, Any]:
         weights = _weights(options, garment)
         result = evaluate_frames(database, compared(), job.body.faces, device, weights)
     if options.plots is not None:
-        from ..plots import plot_evaluation
-
         result["plots"] = [str(path) for path in plot_evaluation(result, options.plots)]
     rows = [
         f"{name:10} {value:8.2f} mm RMS  {result['max_mm'][name]:8.2f} mm max"
