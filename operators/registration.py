@@ -8,15 +8,17 @@ from types import ModuleType
 import bpy
 
 from ..wrinkle_addon.blender import command, handlers, panels, preferences, properties
-from . import bake, cancel_bake, setup_garment, take_ranges
+from . import bake, cancel_bake, setup_garment, show_influence, take_ranges, write_clip
 
 MODULES: Sequence[ModuleType] = (
     preferences,
     properties,
     setup_garment,
     take_ranges,
+    show_influence,
     bake,
     cancel_bake,
+    write_clip,
     panels,
     handlers,
     command,

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from ..fabrics import FABRICS, Fabric, find_fabric
-from ..joint_wrinkles import Formulation
+from ..joint_wrinkles import BlendWeights, Formulation
 from ..rig import Joint
 from ..wearer import BakeSettings
 from . import playback
@@ -144,6 +144,16 @@ class GarmentSettings(bpy.types.PropertyGroup):
             (Formulation.PAPER.name, "Paper", "Positions along arcs, averaged by distance (Wang et al. 2010)"),
         ],
         default=Formulation.OFFSETS.name,
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+    weights: bpy.props.EnumProperty(
+        name="Blend Weights",
+        items=[
+            (BlendWeights.DISTANCE.name, "By Distance", "Each joint reaches as far as its regions are near"),
+            (BlendWeights.MEASURED.name, "Measured", "Each joint reaches as far as its samples change the cloth"),
+        ],
+        default=BlendWeights.DISTANCE.name,
         override=_OVERRIDABLE,
         update=_played_anew,
     )
