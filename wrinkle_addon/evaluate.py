@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from .database import WrinkleDatabase
 from .joint_wrinkles import Formulation, JointEvaluator, JointWrinkles
+from .penetration import PushOut
 from .rig import FloatArray, Pose
 from .surface import BodyVolume, SurfaceMeasures
 
@@ -61,6 +63,7 @@ def evaluate(
     frames: Iterable[EvaluatedFrame],
     body_faces: NDArray[np.int32] | None,
     device: str = "cpu",
+    push: PushOut | None = None,
 ) -> dict[str, Any]:
     """Compare every candidate with a reference over a clip.
 
@@ -68,6 +71,7 @@ def evaluate(
         database: The baked garment.
         frames: The reference, in order.
         body_faces: Triangles of the body in ``frames``; None leaves penetration out.
+        push: What keeps ours out of that body; None leaves it where it is synthesised.
 
     Returns:
         ``rmse_mm``, ``max_mm``: root mean square and largest vertex error of each candidate over the clip;
@@ -97,6 +101,10 @@ def evaluate(
                 f"{database.header.garment.vertex_count}; record the garment object itself."
             )
         found = candidates.positions(frame.pose)
+        if push is not None and frame.body is not None:
+            ours = wp.array(found[OURS], dtype=wp.vec3, device=push.device)
+            push.clear(frame.body, ours)
+            found[OURS] = ours.numpy()
         for name, positions in found.items():
             squared[name].append(((positions - frame.reference) ** 2).sum(1))
             curvature[name].append(float(surface.mean_curvature(positions.astype(np.float64)).sum(dtype=np.float64)))

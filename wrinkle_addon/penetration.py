@@ -17,7 +17,7 @@ Nothing is blended again afterwards (eq 13): there is one mesh, not one an examp
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -257,6 +257,11 @@ class PushOut:
 
     def _upload(self, values: NDArray, dtype: type = wp.int32) -> wp.array:
         return wp.array(values, dtype=dtype, device=self.device)
+
+    def set_distance(self, distance: float) -> None:
+        """Another height that is enough [m]."""
+        self.settings = replace(self.settings, distance=distance)
+        self._clearance.most = distance
 
     def heights(self) -> NDArray[np.float32]:
         """Height of every vertex over the body before it was pushed last [m], shape [vertex_count]."""

@@ -10,6 +10,7 @@ import numpy as np
 from ..bake import BakeSettings
 from ..fabrics import FABRICS, Fabric, find_fabric
 from ..joint_wrinkles import Formulation
+from ..penetration import ClearanceSettings
 from ..rig import Joint
 from . import playback
 from .node_group import add_modifier, set_mask
@@ -144,6 +145,24 @@ class GarmentSettings(bpy.types.PropertyGroup):
             (Formulation.PAPER.name, "Paper", "Positions along arcs, averaged by distance (Wang et al. 2010)"),
         ],
         default=Formulation.OFFSETS.name,
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+    clear_of_body: bpy.props.BoolProperty(
+        name="Clear of Body",
+        default=True,
+        description="Push the garment out of its body in every frame",
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+    clearance: bpy.props.FloatProperty(
+        name="Clearance",
+        default=ClearanceSettings().distance,
+        min=0.0,
+        soft_max=0.02,
+        step=0.1,
+        precision=4,
+        description="Height over the skin that the garment keeps where it did not lie lower at rest, m",
         override=_OVERRIDABLE,
         update=_played_anew,
     )

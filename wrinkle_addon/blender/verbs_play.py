@@ -10,6 +10,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from ..bake import BakeJob, Wearer
@@ -20,10 +21,12 @@ from ..folder_verbs import choose_device
 from ..joint_wrinkles import Formulation, JointWrinkles
 from ..losses import LossFinder, mean_losses
 from ..pc2 import PointCache, write_pc2
+from ..penetration import ClearanceSettings, PushOut
 from ..reference import SettledReference, SimulationSettings, simulate_clip
 from ..rig import FloatArray, Pose
 from ..storage import make_folder
 from .character import SamplingStage, apply, sampling_stage
+from .clearance import BodyClearance, bind_to_body
 from .clip import ClipFrame, read_clip
 from .files import check_output
 from .matching import check_database
@@ -44,20 +47,30 @@ def synthesize(options: argparse.Namespace) -> Mapping[str, Any]:
     scale = check_database(garment, database.header)
     formulation = Formulation(options.formulation) if options.formulation else Formulation[settings.formulation]
     evaluator = JointWrinkles(database, formulation).bind(device)
+    clearance = BodyClearance(database, device)
     clamped: dict[str, float] = {}
+    notes: dict[str, int] = {}
 
     def positions() -> Iterator[NDArray[np.float32]]:
         for clip in read_clip(garment, database.header.rig, frames, scale):
             # Strengths may be animated.
-            found = evaluator.positions(clip.pose, settings.strengths())
+            found = wp.zeros(evaluator.vertex_count, dtype=wp.vec3, device=device)
+            evaluator.evaluate(clip.pose, found, settings.strengths(), clip.rig_to_garment)
+            body = clearance.read(garment, bpy.context.evaluated_depsgraph_get(), scale)
+            if body is not None:
+                clearance.clear(body, found, clip.rig_to_garment)
+            if clearance.note:
+                notes[clearance.note] = notes.get(clearance.note, 0) + 1
             for name, beyond in evaluator.clamped.items():
                 clamped[name] = max(clamped.get(name, 0.0), math.degrees(float(np.abs(beyond).max())))
-            yield apply(clip.rig_to_garment, found.astype(np.float64)).astype(np.float32)
+            yield found.numpy()
 
     write_pc2(options.out, database.header.garment.vertex_count, frames[0], positions(), len(frames))
     text = [f"{len(frames)} frames written to {options.out}."]
     text += [f"{name} goes {angle:.0f} degrees beyond its samples." for name, angle in clamped.items()]
-    return {"frames": len(frames), "cache": str(options.out), "clamped_deg": clamped, "text": "\n".join(text)}
+    text += [f"{note} ({count} frames)" for note, count in notes.items()]
+    result = {"frames": len(frames), "cache": str(options.out), "clamped_deg": clamped, "notes": list(notes)}
+    return {**result, "text": "\n".join(text)}
 
 
 def simulate(options: argparse.Namespace) -> Mapping[str, Any]:
@@ -167,7 +180,10 @@ def evaluate(options: argparse.Namespace) -> Mapping[str, Any]:
                 upright, root = clip.pose.with_root_at_rest(stage.rig)
                 yield EvaluatedFrame(clip.frame, clip.pose, shape, apply(root, stage.positions(upright)), report)
 
-        result = evaluate_frames(database, compared(), job.body.faces, device)
+        push = None
+        if garment.wrinkles.clear_of_body:
+            push = PushOut(bind_to_body(database, job.body), ClearanceSettings(garment.wrinkles.clearance), device)
+        result = evaluate_frames(database, compared(), job.body.faces, device, push)
     if options.plots is not None:
         from ..plots import plot_evaluation
 
