@@ -347,13 +347,22 @@ def find_lacks(
     normal: wp.array[wp.vec3],
     lack: wp.array[wp.float32],
 ):
-    """Foot of every vertex, its height over it [m], its normal, and the push that it needs [m] (eq 12)."""
+    """Foot of every vertex, its height over it [m], its normal, and the push that it needs [m] (eq 12).
+
+    Where nothing is lacking by far, feet are left out: face -1, and the height is rough.
+    """
     v = first + wp.tid()
     p = positions[v]
+    needed = needed_height(rest_height[v], clearance)
     below = nearer_triangle(surface, grids, p, start[v])
+    over = height_over_plane(surface, below, p) / clearance.metre
+    if over > needed + PLAINLY_OUTSIDE:
+        face[v] = -1
+        height[v] = over
+        lack[v] = 0.0
+        return
     foot, h, n, trust = find_foot(surface, p, below, tolerance * clearance.metre)
     h = h / clearance.metre
-    needed = needed_height(rest_height[v], clearance)
     if h < needed:
         asked = needed
         for limb in range(grids.first.shape[0]):
@@ -427,6 +436,31 @@ def mean_around(
     mean[v] = 0.5 * values[v] + 0.5 * total / wp.float32(wp.max(begin[v + 1] - begin[v], 1))
 
 
+@wp.kernel
+def find_missing_feet(
+    first: wp.int32,
+    positions: wp.array[wp.vec3],
+    start: wp.array[wp.int32],
+    push: wp.array[wp.float32],
+    surface: PosedSurface,
+    grids: LimbGrids,
+    clearance: Clearance,
+    tolerance: wp.float32,
+    # in and out
+    face: wp.array[wp.int32],
+    height: wp.array[wp.float32],
+    normal: wp.array[wp.vec3],
+):
+    """The feet that :func:`find_lacks` left out, where a neighbour's push has spread to."""
+    v = first + wp.tid()
+    if face[v] < 0 and push[v] > 0.0:
+        below = nearer_triangle(surface, grids, positions[v], start[v])
+        foot, h, n, _trust = find_foot(surface, positions[v], below, tolerance * clearance.metre)
+        face[v] = foot
+        height[v] = h / clearance.metre
+        normal[v] = n
+
+
 # --- out of other limbs, and to its place -------------------------------------------------------------------------
 
 
@@ -434,6 +468,7 @@ def mean_around(
 def push_between_limbs(
     first: wp.int32,
     positions: wp.array[wp.vec3],
+    start: wp.array[wp.int32],
     push: wp.array[wp.float32],
     face: wp.array[wp.int32],
     height: wp.array[wp.float32],
@@ -450,32 +485,43 @@ def push_between_limbs(
 ):
     """Moves out of the own limb, by the push [m] (eq 11), and out of others, on from where ``moves`` lead."""
     v = first + wp.tid()
-    further[v] = moves[v]
-    if again and wp.length_sq(moves[v]) == 0.0:
+    move = moves[v]
+    further[v] = move
+    if again and wp.length_sq(move) == 0.0:
         return
-    n = normal[v]
     needed = needed_height(rest_height[v], clearance)
-    skin = positions[v] - height[v] * clearance.metre * n
-    p = positions[v] + push[v] * clearance.metre * n + moves[v]
+    place = positions[v]
+    own_face = start[v]
+    h = height[v]
+    n = normal[v]
+    if face[v] >= 0:
+        own_face = face[v]
+        place += push[v] * clearance.metre * n
     for limb in range(grids.first.shape[0]):
-        start = wp.int32(-1)
-        if limb != surface.limb[face[v]]:
-            start = cell_triangle(grids, limb, p)
-        if start >= 0:
-            if height_over_plane(surface, start, p) > clearance.metre * PLAINLY_OUTSIDE:
-                start = wp.int32(-1)
-        if start >= 0:
-            _foot, g, m, trust = find_foot(surface, p, start, tolerance * clearance.metre)
+        begin = wp.int32(-1)
+        if limb != surface.limb[own_face]:
+            begin = cell_triangle(grids, limb, place + move)
+        if begin >= 0:
+            if height_over_plane(surface, begin, place + move) > clearance.metre * PLAINLY_OUTSIDE:
+                begin = wp.int32(-1)
+        if begin >= 0:
+            p = place + move
+            _foot, g, m, trust = find_foot(surface, p, begin, tolerance * clearance.metre)
             lack = needed - g / clearance.metre
             if lack > 0.0:
+                if face[v] < 0:
+                    below = nearer_triangle(surface, grids, positions[v], start[v])
+                    own_face, h, n, _sure = find_foot(surface, positions[v], below, tolerance * clearance.metre)
+                    h = h / clearance.metre
+                skin = positions[v] - h * clearance.metre * n
                 wall, wall_height, sure, apart = facing_wall(surface, grids, limb, skin, n, clearance, tolerance)
-                h = wp.dot(p - skin, n) / clearance.metre
+                now = wp.dot(p - skin, n) / clearance.metre
                 g = wall_height + wp.dot(p - skin, wall) / clearance.metre
-                asked = height_between(needed, g, h, wp.max(-wp.dot(wall, n), 0.0))
+                asked = height_between(needed, g, now, wp.max(-wp.dot(wall, n), 0.0))
                 between = softened(wp.min(asked - g, OVERSHOOT * lack), clearance.soft, clearance.deep)
                 shortest = trust * softened(lack, clearance.soft, clearance.overlap)
-                p += apart * clearance.metre * (sure * between * wall + (1.0 - sure) * shortest * m)
-    further[v] = p - positions[v] - push[v] * clearance.metre * n
+                move += apart * clearance.metre * (sure * between * wall + (1.0 - sure) * shortest * m)
+    further[v] = move
 
 
 @wp.kernel
@@ -507,4 +553,6 @@ def push_out(
 ):
     """Move every vertex by its push [m] along its normal (eq 11), and on out of other limbs."""
     v = first + wp.tid()
-    positions[v] = positions[v] + push[v] * clearance.metre * normal[v] + moves[v]
+    if push[v] > 0.0:
+        positions[v] = positions[v] + push[v] * clearance.metre * normal[v]
+    positions[v] = positions[v] + moves[v]

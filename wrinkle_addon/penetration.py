@@ -30,6 +30,7 @@ from ..kernels.penetration import (
     PosedSurface,
     believable_lacks,
     find_lacks,
+    find_missing_feet,
     heights_over_surface,
     largest_around,
     mean_around,
@@ -170,7 +171,10 @@ def _limb_grids(
         shapes[number] = np.ceil((points.max(0) + CELL_REACH - origins[number]) / CELL)
         index = np.stack(np.meshgrid(*(np.arange(n) for n in shapes[number]), indexing="ij"), 3).reshape(-1, 3)
         found = bind_to_surface(origins[number] + CELL * (index + 0.5), body, body_faces[triangles])
-        cells.append(np.where(np.abs(found.distance) < CELL_REACH, triangles[found.faces], -1).astype(np.int32))
+        # What lies outside beyond the limb's end is the next limb's.
+        rim = ((found.weights < 1e-6) & (triangles_beside(body_faces[triangles])[found.faces] < 0)).any(1)
+        near = (np.abs(found.distance) < CELL_REACH) & ~(rim & (found.distance > 0.0))
+        cells.append(np.where(near, triangles[found.faces], -1).astype(np.int32))
     first = np.cumsum([0, *(len(part) for part in cells)])[:-1].astype(np.int32)
     return origins, shapes, first, np.concatenate([*cells, np.zeros(0, np.int32)])
 
@@ -264,7 +268,7 @@ class PushOut:
         self._clearance.most = distance
 
     def heights(self) -> NDArray[np.float32]:
-        """Height of every vertex over the body before it was pushed last [m], shape [vertex_count]."""
+        """Height of every vertex over the body before it was pushed last [m], rough far outside, shape [vertex_count]."""
         return self._height.numpy()
 
     def clear(self, body: NDArray[np.floating] | wp.array, positions: wp.array, metre: float = 1.0) -> None:
@@ -295,8 +299,9 @@ class PushOut:
             for _ in range(self.rings):
                 self._launch(kernel, [*self._neighbours, self._lack], [self._other])
                 self._lack, self._other = self._other, self._lack
+        self._launch(find_missing_feet, [positions, self._start, self._lack, *common[1:]], found)
         if len(self._grids.first):
-            inputs = [positions, self._lack, *found, *common]
+            inputs = [positions, self._start, self._lack, *found, *common]
             self._launch(push_between_limbs, [*inputs, self._none, False], [self._move])
             for _ in range(self.rings):
                 self._launch(mean_move_around, [*self._neighbours, self._move], [self._other_move])

@@ -101,7 +101,7 @@ def test_out_of_a_sphere_by_the_clearance():
 
 def test_heights_are_those_of_the_smooth_surface(worn):
     rng = np.random.default_rng(1)
-    heights = rng.uniform(-0.02, 0.03, len(worn.rest))
+    heights = rng.uniform(-0.02, 0.015, len(worn.rest))
     points, _ = tube(RADIUS + heights)
     cleared(worn.push, worn.body, points)
     found = worn.push.heights()
