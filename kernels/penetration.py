@@ -22,7 +22,7 @@ ASIDE = wp.constant(wp.vec2(-0.1, 0.3))
 # A vertex is moved out of another limb by at most this many times what the shortest way out would take.
 OVERSHOOT = wp.constant(3.0)
 # Height over the plane of a limb's closest triangle, at rest, from which on nothing more needs to be known [m].
-PLAINLY_OUTSIDE = wp.constant(0.015)
+PLAINLY_OUTSIDE = wp.constant(0.01)
 # A smooth foot lies at most this many times as far away as the closest point: in a narrow cleft it is the bottom.
 STEEPEST = wp.constant(2.0)
 

@@ -78,6 +78,7 @@ def evaluate(
         ``frames``: the same for each frame; ``regions``: the same for each region of the garment;
         ``curvature_ratio``, ``curvature_correlation``: of the vertex sums of mean curvature, ours to the reference's
         (W100, W101); ``inside_share``, ``deepest_mm``: vertices of ours inside the body by more than 1 mm;
+        ``inside_overlap_share``: those of them where the body cuts into itself, so that no place is free;
         ``acceleration_ratio``: of the mean vertex acceleration, ours to the reference's, None for frames with gaps;
         ``reference``: what the reference said of itself.
 
@@ -91,6 +92,7 @@ def evaluate(
     squared: dict[str, list[FloatArray]] = {name: [] for name in CANDIDATES}
     curvature: dict[str, list[float]] = {name: [] for name in (*CANDIDATES, "reference")}
     inside: list[float] = []
+    overlap: list[float] = []
     deepest: list[float] = []
     tracks: dict[str, list[NDArray[np.float32]]] = {OURS: [], "reference": []}
     reports: list[Mapping[str, Any]] = []
@@ -110,8 +112,9 @@ def evaluate(
             curvature[name].append(float(surface.mean_curvature(positions.astype(np.float64)).sum(dtype=np.float64)))
         curvature["reference"].append(float(surface.mean_curvature(frame.reference).sum(dtype=np.float64)))
         if frame.body is not None and body_faces is not None:
-            depth, _ = BodyVolume(frame.body, body_faces).depth(found[OURS].astype(np.float64))
+            depth, covered = BodyVolume(frame.body, body_faces).depth(found[OURS].astype(np.float64))
             inside.append(float((depth > 0.001).mean()))
+            overlap.append(float(((depth > 0.001) & covered).mean()))
             deepest.append(float(depth.max()))
         # Accelerations are those of the garment on the body, so the character's own travel is taken off.
         _, root = frame.pose.with_root_at_rest(database.header.rig)
@@ -148,6 +151,7 @@ def evaluate(
         "curvature_ratio": float(np.sum(curvature[OURS]) / np.sum(curvature["reference"])),
         "curvature_correlation": _correlation(curvature[OURS], curvature["reference"]),
         "inside_share": float(np.mean(inside)) if inside else None,
+        "inside_overlap_share": float(np.mean(overlap)) if overlap else None,
         "deepest_mm": float(np.max(deepest) * 1e3) if deepest else None,
         "acceleration_ratio": _acceleration_ratio(numbers, tracks),
         "reference": worst_of(reports),

@@ -57,6 +57,9 @@ FACING_REACH = 0.05
 FRAME_POINTS = 200
 """Body vertices that tell how a limb lies, at most."""
 
+MOVE_ROUNDS = 2
+"""How often moves out of other limbs are averaged over neighbours, before they are looked at again."""
+
 FOOT_TOLERANCE = 5.0e-5
 """Height at which the walk to a foot ends [m]."""
 
@@ -268,7 +271,7 @@ class PushOut:
         self._clearance.most = distance
 
     def heights(self) -> NDArray[np.float32]:
-        """Height of every vertex over the body before it was pushed last [m], rough far outside, shape [vertex_count]."""
+        """Height of every vertex over the body when it was cleared last [m], rough far out, shape [vertex_count]."""
         return self._height.numpy()
 
     def clear(self, body: NDArray[np.floating] | wp.array, positions: wp.array, metre: float = 1.0) -> None:
@@ -303,7 +306,7 @@ class PushOut:
         if len(self._grids.first):
             inputs = [positions, self._start, self._lack, *found, *common]
             self._launch(push_between_limbs, [*inputs, self._none, False], [self._move])
-            for _ in range(self.rings):
+            for _ in range(MOVE_ROUNDS):
                 self._launch(mean_move_around, [*self._neighbours, self._move], [self._other_move])
                 self._move, self._other_move = self._other_move, self._move
             self._launch(push_between_limbs, [*inputs, self._move, True], [self._other_move])
