@@ -27,7 +27,6 @@ from ..kernels.cloth.body_surface import vertex_normals as area_normals
 from ..kernels.penetration import (
     Clearance,
     LimbGrids,
-    PosedSurface,
     believable_lacks,
     find_lacks,
     find_missing_feet,
@@ -38,6 +37,7 @@ from ..kernels.penetration import (
     push_between_limbs,
     push_out,
 )
+from ..kernels.posed_surface import PosedSurface
 from .cloth_contact import Limbs
 from .cloth_model import FloatArray, IntArray
 from .garment import bind_to_surface, vertex_neighbours, vertex_normals
