@@ -69,8 +69,10 @@ class Stage:
         bpy.context.view_layer.update()
         return ob
 
-    def add_wrinkles(self, name: str, database: Path, formulation: str = "OFFSETS") -> bpy.types.Object:
-        """A garment that plays a database."""
+    def add_wrinkles(
+        self, name: str, database: Path, formulation: str = "OFFSETS", *, clear: bool = False
+    ) -> bpy.types.Object:
+        """A garment that plays a database, and is kept clear of the body if ``clear`` says so."""
         ob = self.add_garment(name)
         settings = ob.wrinkles
         settings.armature, settings.body = self.armature, self.body
@@ -78,6 +80,7 @@ class Stage:
         for joint in self.outfit.joints:
             settings.joints.add().store(joint)
         settings.database, settings.formulation = str(database), formulation
+        settings.clear_of_body = clear
         settings.enabled = True
         return ob
 

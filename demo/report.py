@@ -93,7 +93,8 @@ def _evaluation(title: str, result: Mapping[str, Any]) -> str:
     ]
     if result["inside_share"] is not None:
         lines.append(
-            f"- Vertices of ours inside the body by more than 1 mm: {100 * result['inside_share']:.2f} %, "
+            f"- Vertices of ours inside the body by more than 1 mm: {100 * result['inside_share']:.2f} %, of these "
+            f"{100 * result['inside_overlap_share']:.2f} % where the body cuts into itself, "
             f"the deepest {result['deepest_mm']:.1f} mm."
         )
     if result["acceleration_ratio"] is not None:

@@ -158,6 +158,8 @@ def build_arm(
     settings.armature = armature
     settings.body = _build_mesh(f"{name}body", armature, RADIUS, 16, 24, size)
     settings.body.hide_render = True
+    # What its database says is compared to the bit; tests of the push switch it on.
+    settings.clear_of_body = False
     settings.joints.clear()
     for joint in (elbow(), shoulder()):
         settings.joints.add().store(joint)

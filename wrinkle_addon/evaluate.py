@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from .database import WrinkleDatabase
 from .joint_wrinkles import BlendWeights, Formulation, JointEvaluator, JointWrinkles
+from .penetration import PushOut
 from .rig import FloatArray, Pose
 from .surface import BodyVolume, SurfaceMeasures
 
@@ -62,6 +64,7 @@ def evaluate(
     body_faces: NDArray[np.int32] | None,
     device: str = "cpu",
     weights: BlendWeights = BlendWeights.DISTANCE,
+    push: PushOut | None = None,
 ) -> dict[str, Any]:
     """Compare every candidate with a reference over a clip.
 
@@ -71,12 +74,14 @@ def evaluate(
         body_faces: Triangles of the body in ``frames``; None leaves penetration out.
         device: Warp device.
         weights: Where the weights come from by which joints meet, in every candidate.
+        push: What keeps ours out of that body; None leaves it where it is synthesised.
 
     Returns:
         ``rmse_mm``, ``max_mm``: root mean square and largest vertex error of each candidate over the clip;
         ``frames``: the same for each frame; ``regions``: the same for each region of the garment;
         ``curvature_ratio``, ``curvature_correlation``: of the vertex sums of mean curvature, ours to the reference's
         (W100, W101); ``inside_share``, ``deepest_mm``: vertices of ours inside the body by more than 1 mm;
+        ``inside_overlap_share``: those of them where the body cuts into itself, so that no place is free;
         ``acceleration_ratio``: of the mean vertex acceleration, ours to the reference's, None for frames with gaps;
         ``reference``: what the reference said of itself.
 
@@ -90,6 +95,7 @@ def evaluate(
     squared: dict[str, list[FloatArray]] = {name: [] for name in CANDIDATES}
     curvature: dict[str, list[float]] = {name: [] for name in (*CANDIDATES, "reference")}
     inside: list[float] = []
+    overlap: list[float] = []
     deepest: list[float] = []
     tracks: dict[str, list[NDArray[np.float32]]] = {OURS: [], "reference": []}
     reports: list[Mapping[str, Any]] = []
@@ -100,13 +106,18 @@ def evaluate(
                 f"{database.header.garment.vertex_count}; record the garment object itself."
             )
         found = candidates.positions(frame.pose)
+        if push is not None and frame.body is not None:
+            ours = wp.array(found[OURS], dtype=wp.vec3, device=push.device)
+            push.clear(frame.body, ours)
+            found[OURS] = ours.numpy()
         for name, positions in found.items():
             squared[name].append(((positions - frame.reference) ** 2).sum(1))
             curvature[name].append(float(surface.mean_curvature(positions.astype(np.float64)).sum(dtype=np.float64)))
         curvature["reference"].append(float(surface.mean_curvature(frame.reference).sum(dtype=np.float64)))
         if frame.body is not None and body_faces is not None:
-            depth, _ = BodyVolume(frame.body, body_faces).depth(found[OURS].astype(np.float64))
+            depth, covered = BodyVolume(frame.body, body_faces).depth(found[OURS].astype(np.float64))
             inside.append(float((depth > 0.001).mean()))
+            overlap.append(float(((depth > 0.001) & covered).mean()))
             deepest.append(float(depth.max()))
         # Accelerations are those of the garment on the body, so the character's own travel is taken off.
         _, root = frame.pose.with_root_at_rest(database.header.rig)
@@ -143,6 +154,7 @@ def evaluate(
         "curvature_ratio": float(np.sum(curvature[OURS]) / np.sum(curvature["reference"])),
         "curvature_correlation": _correlation(curvature[OURS], curvature["reference"]),
         "inside_share": float(np.mean(inside)) if inside else None,
+        "inside_overlap_share": float(np.mean(overlap)) if overlap else None,
         "deepest_mm": float(np.max(deepest) * 1e3) if deepest else None,
         "acceleration_ratio": _acceleration_ratio(numbers, tracks),
         "reference": worst_of(reports),

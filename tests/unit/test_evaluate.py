@@ -1,5 +1,6 @@
 """The measures: curvature, intersections, depth, errors and popping, against shapes whose answers are known."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,10 @@ import pytest
 from baked_dolls import baked, bump, full_plan
 from cloth_shapes import sphere, tube
 from dolls import Doll, doll
+from wrinkle_synthesis.wrinkle_addon.bake import worn_limbs
 from wrinkle_synthesis.wrinkle_addon.evaluate import EvaluatedFrame, evaluate
 from wrinkle_synthesis.wrinkle_addon.joint_wrinkles import JointWrinkles
+from wrinkle_synthesis.wrinkle_addon.penetration import PushOut, bind_clearance
 from wrinkle_synthesis.wrinkle_addon.rig import pose_of_angles
 from wrinkle_synthesis.wrinkle_addon.surface import BodyVolume, SurfaceMeasures
 
@@ -180,6 +183,20 @@ def test_penetration_is_the_share_of_vertices_inside(character: Doll, database):
     ]
     assert result["inside_share"] == pytest.approx(evaluate(database, deep, character.body.faces)["inside_share"])
     assert 0.0 <= result["inside_share"] < 0.1
+
+
+def test_what_is_kept_clear_is_measured_as_it_is_shown(character: Doll, database):
+    sunk = replace(database, rest=0.92 * database.rest + 0.08 * database.rest.mean(0))
+    clip = frames(character, database)
+    before = evaluate(sunk, clip, character.body.faces)
+    limbs = worn_limbs(character.rig, character.garment, character.body)
+    body = character.body
+    binding = bind_clearance(database.rest, character.garment.faces, body.positions, body.faces, limbs)
+    after = evaluate(sunk, clip, body.faces, push=PushOut(binding))
+    assert before["inside_share"] > 0.05
+    assert after["inside_share"] - after["inside_overlap_share"] < 0.1 * before["inside_share"]
+    assert after["rmse_mm"]["skinning"] == before["rmse_mm"]["skinning"]
+    assert after["rmse_mm"]["ours"] < before["rmse_mm"]["ours"]
 
 
 def test_another_vertex_count_and_an_empty_clip_are_refused(character: Doll, database):

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from ..cache_parts import CacheParts
 from ..database import WrinkleDatabase
 from ..joint_wrinkles import BlendWeights, Formulation, JointWrinkles
 from ..storage import content_key, file_hash
-from .character import apply
+from .clearance import BodyClearance
 from .clip import read_clip
 from .exporters import EXPORTERS, check_exporter, export_garment
 from .files import check_output
@@ -46,6 +47,7 @@ class ClipSynthesis:
 
     Attributes:
         clamped_deg: By how much joints went beyond their samples in the frames played so far [degrees].
+        notes: Why the garment was not kept clear of its body, and in how many frames so far.
 
     Raises:
         ValueError: One sentence, if the database cannot be read, or is not of this garment and its rig.
@@ -67,6 +69,8 @@ class ClipSynthesis:
         self._formulation = formulation or Formulation[settings.formulation]
         self._weights = weights or BlendWeights[settings.weights]
         self._evaluator = JointWrinkles(self._database, self._formulation, self._weights).bind(device)
+        self._clearance = BodyClearance(self._database, device)
+        self.notes: dict[str, int] = {}
 
     @property
     def vertex_count(self) -> int:
@@ -76,11 +80,17 @@ class ClipSynthesis:
         """The garment in its object space in every frame, shape [vertex_count, 3] each."""
         for clip in read_clip(self.garment, self._database.header.rig, frames, self._scale):
             # Strengths may be animated.
-            found = self._evaluator.positions(clip.pose, self.garment.wrinkles.strengths())
+            found = wp.zeros(self.vertex_count, dtype=wp.vec3, device=self._evaluator.device)
+            self._evaluator.evaluate(clip.pose, found, self.garment.wrinkles.strengths(), clip.rig_to_garment)
+            body = self._clearance.read(self.garment, bpy.context.evaluated_depsgraph_get(), self._scale)
+            if body is not None:
+                self._clearance.clear(body, found, clip.rig_to_garment)
+            if self._clearance.note:
+                self.notes[self._clearance.note] = self.notes.get(self._clearance.note, 0) + 1
             for name, beyond in self._evaluator.clamped.items():
                 angle = math.degrees(float(np.abs(beyond).max()))
                 self.clamped_deg[name] = max(self.clamped_deg.get(name, 0.0), angle)
-            yield apply(clip.rig_to_garment, found.astype(np.float64)).astype(np.float32)
+            yield found.numpy()
 
     def file_key(self) -> str:
         """Hash of the open file, of those linked into it, and of all else that decides what is written."""

@@ -43,6 +43,11 @@ class WRINKLE_PT_play(WrinklePanel, bpy.types.Panel):
         column.prop_search(settings, "mask", garment, "vertex_groups")
         column.prop(settings, "formulation")
         column.prop(settings, "weights")
+        row = column.row(heading="Clear of Body")
+        row.prop(settings, "clear_of_body", text="")
+        clearance = row.row()
+        clearance.active = settings.clear_of_body
+        clearance.prop(settings, "clearance", text="")
         layout.operator("wrinkle.write_clip", icon="EXPORT")
         if settings.enabled:
             _draw_status(context, layout, garment)
@@ -60,6 +65,8 @@ def _draw_status(context: bpy.types.Context, layout: bpy.types.UILayout, garment
     for name, beyond in status.player.clamped.items():
         angle = float(np.degrees(np.abs(beyond).max()))
         layout.label(text=f"{name} is {angle:.0f}° beyond its samples", icon="INFO")
+    if status.player.note:
+        _say(context, layout, status.player.note, icon="INFO")
     layout.label(text=status.player.summary)
 
 

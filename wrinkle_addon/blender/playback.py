@@ -22,6 +22,7 @@ from ..folder_verbs import choose_device
 from ..joint_wrinkles import BlendWeights, Formulation, JointWrinkles
 from ..rig import FloatArray, Pose
 from .armature import PoseReader, rig_scale
+from .clearance import BodyClearance
 from .matching import check_mesh, match_rig
 from .node_group import find_modifier, shows_all
 from .preferences import device_name
@@ -84,6 +85,7 @@ class Player:
         self.rig_key = (source.armature, self.database.header.rig.fingerprint())
         self._evaluator = JointWrinkles(self.database, source.formulation, source.weights).bind(device)
         self._positions = wp.zeros(self._evaluator.vertex_count, dtype=wp.vec3, device=device)
+        self._clearance = BodyClearance(self.database, device)
         on_cpu = self._positions.device.is_cpu
         self._host = self._positions if on_cpu else wp.zeros_like(self._positions, device="cpu", pinned=True)
         self._host_view: NDArray[np.float32] = self._host.numpy()
@@ -98,6 +100,11 @@ class Player:
     @property
     def clamped(self) -> Mapping[str, FloatArray]:
         return self._evaluator.clamped
+
+    @property
+    def note(self) -> str:
+        """Why the garment is not kept clear of its body, if it should be; else empty."""
+        return self._clearance.note
 
     def check(self, garment: bpy.types.Object) -> None:
         """Compare the garment's mesh and rig with the database, if there is reason to.
@@ -142,10 +149,14 @@ class Player:
         placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
         strengths = evaluated.wrinkles.strengths()
         frame = depsgraph.scene.frame_current_final
-        inputs = (pose.matrices.tobytes(), placement.tobytes(), strengths, frame)
+        body = self._clearance.read(garment, depsgraph, self._scale)
+        around = None if body is None else (body.tobytes(), garment.wrinkles.clearance)
+        inputs = (pose.matrices.tobytes(), placement.tobytes(), strengths, frame, around)
         if only_changes and inputs == self._inputs:
             return
         self._evaluator.evaluate(pose, self._positions, strengths, placement)
+        if body is not None:
+            self._clearance.clear(body, self._positions, placement)
         if self._host is not self._positions:
             wp.copy(self._host, self._positions)
             wp.synchronize_device(self._positions.device)

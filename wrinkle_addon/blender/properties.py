@@ -9,6 +9,7 @@ import numpy as np
 
 from ..fabrics import FABRICS, Fabric, find_fabric
 from ..joint_wrinkles import BlendWeights, Formulation
+from ..penetration import ClearanceSettings
 from ..rig import Joint
 from ..wearer import BakeSettings
 from . import playback
@@ -154,6 +155,24 @@ class GarmentSettings(bpy.types.PropertyGroup):
             (BlendWeights.MEASURED.name, "Measured", "Each joint reaches as far as its samples change the cloth"),
         ],
         default=BlendWeights.DISTANCE.name,
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+    clear_of_body: bpy.props.BoolProperty(
+        name="Clear of Body",
+        default=True,
+        description="Push the garment out of its body in every frame",
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+    clearance: bpy.props.FloatProperty(
+        name="Clearance",
+        default=ClearanceSettings().distance,
+        min=0.0,
+        soft_max=0.02,
+        step=0.1,
+        precision=4,
+        description="Height over the skin that the garment keeps where it did not lie lower at rest, m",
         override=_OVERRIDABLE,
         update=_played_anew,
     )

@@ -19,11 +19,13 @@ from ..folder_verbs import choose_device
 from ..joint_wrinkles import BlendWeights, Formulation
 from ..losses import LossFinder, mean_losses
 from ..pc2 import PointCache, write_pc2
+from ..penetration import ClearanceSettings, PushOut
 from ..plots import check_plots, plot_evaluation
 from ..reference import SettledReference, SimulationSettings, simulate_clip
 from ..rig import FloatArray, Pose
 from ..wearer import Wearer
 from .character import SamplingStage, apply, sampling_stage
+from .clearance import bind_to_body
 from .clip import ClipFrame, parse_frames, read_clip
 from .clip_synthesis import CACHE, ClipSynthesis, check_result, write_clip, write_parts
 from .files import check_output, save_character
@@ -67,11 +69,13 @@ def synthesize(options: argparse.Namespace) -> Mapping[str, Any]:
     whole = f"Frames {part.start} to {part.stop - 1} of" if options.part else f"{len(frames)} frames written to"
     text = [f"{whole} {options.out}{' are there' if options.part else ''}."]
     text += [f"{name} goes {angle:.0f} degrees beyond its samples." for name, angle in synthesis.clamped_deg.items()]
+    text += [f"{note} ({count} frames)" for note, count in synthesis.notes.items()]
     return {
         "frames": len(part),
         "made": made,
         "cache": str(options.out),
         "clamped_deg": synthesis.clamped_deg,
+        "notes": list(synthesis.notes),
         "text": "\n".join(text),
     }
 
@@ -198,8 +202,11 @@ def evaluate(options: argparse.Namespace) -> Mapping[str, Any]:
                 upright, root = clip.pose.with_root_at_rest(stage.rig)
                 yield EvaluatedFrame(clip.frame, clip.pose, shape, apply(root, stage.positions(upright)), report)
 
+        push = None
+        if garment.wrinkles.clear_of_body:
+            push = PushOut(bind_to_body(database, job.body), ClearanceSettings(garment.wrinkles.clearance), device)
         weights = _weights(options, garment)
-        result = evaluate_frames(database, compared(), job.body.faces, device, weights)
+        result = evaluate_frames(database, compared(), job.body.faces, device, weights, push)
     if options.plots is not None:
         result["plots"] = [str(path) for path in plot_evaluation(result, options.plots)]
     rows = [

@@ -1,0 +1,314 @@
+"""A garment is pushed out of its body: as far as it must, folds and all, and nothing is thrown about."""
+
+import numpy as np
+import pytest
+import warp as wp
+from wrinkle_synthesis.wrinkle_addon import method
+from wrinkle_synthesis.wrinkle_addon.cloth_contact import Limbs
+from wrinkle_synthesis.wrinkle_addon.garment import vertex_neighbours, vertex_normals
+from wrinkle_synthesis.wrinkle_addon.penetration import ClearanceSettings, PushOut, bind_clearance
+from wrinkle_synthesis.wrinkle_addon.topology import rows_of
+
+CLEARANCE, SOFT = ClearanceSettings().distance, ClearanceSettings().soft
+RADIUS, LENGTH = 0.05, 0.4
+
+
+def grid_faces(rings, around):
+    """Triangles of a tube of rings, outward for rings that go up along +z and around counter-clockwise."""
+    faces = []
+    for ring in range(rings - 1):
+        for k in range(around):
+            a, b = ring * around + k, ring * around + (k + 1) % around
+            faces += [[a, b, a + around], [b, b + around, a + around]]
+    return np.array(faces, np.int32)
+
+
+def tube(radius, rings=41, around=48, length=LENGTH, angle=0.0):
+    """A cylinder along +z: vertices [m] and triangles; ``radius`` may be given for every vertex."""
+    z, phi = np.meshgrid(np.linspace(0.0, length, rings), 2.0 * np.pi * np.arange(around) / around, indexing="ij")
+    phi = phi.ravel() + angle
+    r = np.broadcast_to(radius, phi.shape)
+    return np.stack([r * np.cos(phi), r * np.sin(phi), z.ravel()], 1), grid_faces(rings, around)
+
+
+def ball(radius, rings=33, around=64):
+    """A sphere open at its poles."""
+    theta, phi = np.meshgrid(
+        np.linspace(0.9 * np.pi, 0.1 * np.pi, rings), 2.0 * np.pi * np.arange(around) / around, indexing="ij"
+    )
+    theta, phi = theta.ravel(), phi.ravel()
+    directions = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], 1)
+    return radius * directions, grid_faces(rings, around)
+
+
+def cleared(push, body, positions, **more):
+    """The garment after the push [m], float64."""
+    out = wp.array(np.asarray(positions, np.float32), dtype=wp.vec3, device=push.device)
+    push.clear(body, out, **more)
+    return out.numpy().astype(np.float64)
+
+
+def radii(points):
+    return np.linalg.norm(points[:, :2], axis=1)
+
+
+class Worn:
+    """A sleeve of 20 mm more radius on a cylinder (S30), bound where it rests."""
+
+    def __init__(self, device="cpu", settings=None):
+        self.body, self.body_faces = tube(RADIUS, 61, 64, LENGTH + 0.2, 0.01)
+        self.body = self.body - [0.0, 0.0, 0.1]
+        self.rest, self.faces = tube(RADIUS + 0.02)
+        self.binding = bind_clearance(self.rest, self.faces, self.body, self.body_faces)
+        self.push = PushOut(self.binding, settings, device)
+
+    def clear(self, positions, **more):
+        return cleared(self.push, self.body, positions, **more)
+
+
+@pytest.fixture(scope="module")
+def worn():
+    return Worn()
+
+
+def test_a_settled_garment_stays_where_it_lies(worn):
+    # Lower than the clearance, too: it is the settled height that counts then.
+    low, faces = tube(RADIUS + 0.001)
+    binding = bind_clearance(low, faces, worn.body, worn.body_faces)
+    # Positions are single precision.
+    assert np.abs(cleared(PushOut(binding), worn.body, low) - low).max() < 1e-6
+    assert np.abs(worn.clear(worn.rest) - worn.rest).max() < 1e-6
+
+
+@pytest.mark.parametrize("depth", [0.002, 0.01, 0.03])
+def test_out_of_a_cylinder_by_the_clearance(worn, device, depth):
+    sunk, _ = tube(RADIUS - depth)
+    out = cleared(PushOut(worn.binding, device=device), worn.body, sunk)
+    # Half of the softness is left out of every push; the body's facets lie 0.06 mm inside the cylinder.
+    assert radii(out) == pytest.approx(RADIUS + CLEARANCE - 0.5 * SOFT, abs=1e-4)
+    # It goes along the normal: nowhere else.
+    assert np.abs(out[:, 2] - sunk[:, 2]).max() < 1e-5
+
+
+def test_out_of_a_sphere_by_the_clearance():
+    body, body_faces = ball(0.1)
+    rest, faces = ball(0.11, 31, 60)
+    push = PushOut(bind_clearance(rest, faces, body, body_faces))
+    out = cleared(push, body, rest * (0.085 / 0.11))
+    # Triangles of 10 mm lie 0.13 mm inside the sphere.
+    assert np.linalg.norm(out, axis=1) == pytest.approx(0.1 + CLEARANCE - 0.5 * SOFT, abs=2e-4)
+
+
+def test_heights_are_those_of_the_smooth_surface(worn):
+    rng = np.random.default_rng(1)
+    heights = rng.uniform(-0.02, 0.015, len(worn.rest))
+    points, _ = tube(RADIUS + heights)
+    cleared(worn.push, worn.body, points)
+    found = worn.push.heights()
+    # Height along the interpolated normal, by brute force over all triangles in double precision.
+    near = rng.choice(len(points), 40, replace=False)
+    expected = [phong_height(points[v], worn.body, worn.body_faces) for v in near]
+    assert found[near] == pytest.approx(expected, abs=5e-6)
+
+
+def phong_height(p, body, faces):
+    """Signed height of least magnitude at which x(u, v) + h n(u, v) = p with n of unit length, over all triangles."""
+    a, b, c = body[faces].transpose(1, 0, 2)
+    na, nb, nc = vertex_normals(body, faces)[faces].transpose(1, 0, 2)
+    s = np.tile([1 / 3, 1 / 3, 0.0], (len(faces), 1))
+    for _ in range(12):
+        u, v, h = s.T[:, :, None]
+        n = na + u * (nb - na) + v * (nc - na)
+        miss = a + u * (b - a) + v * (c - a) + h * n - p
+        jacobian = np.stack([b - a + h * (nb - na), c - a + h * (nc - na), n], 2)
+        s = s - np.linalg.solve(jacobian, miss[:, :, None])[:, :, 0]
+    u, v, h = s.T
+    n = na + u[:, None] * (nb - na) + v[:, None] * (nc - na)
+    inside = (u > -1e-6) & (v > -1e-6) & (u + v < 1 + 1e-6)
+    heights = (h * np.linalg.norm(n, axis=1))[inside]
+    return heights[np.abs(heights).argmin()]
+
+
+def test_pushes_are_those_of_the_reference(worn):
+    """Eq 12, then spread: as many largest values as means."""
+    rng = np.random.default_rng(2)
+    points, _ = tube(RADIUS + 0.004 + 0.01 * np.sin(np.arange(len(worn.rest)) * 0.05) + rng.normal(0, 3e-4, 1))
+    out = worn.clear(points)
+    lack = np.clip(CLEARANCE - worn.push.heights().astype(np.float64), 0.0, None)
+    push = np.where(lack < SOFT, 0.5 * lack**2 / SOFT, lack - 0.5 * SOFT)
+    start, neighbours = vertex_neighbours(worn.faces, len(points))
+    rows = rows_of(start)
+    around = [neighbours[start[v] : start[v + 1]] for v in range(len(points))]
+    apart = np.linalg.norm(points[neighbours] - points[rows], axis=1)
+    push = np.minimum(push, [max(push[a] + apart[start[v] : start[v + 1]]) for v, a in enumerate(around)])
+    needed = push.copy()
+    assert worn.push.rings == 2
+    for _ in range(worn.push.rings):
+        push = np.array([max(push[v], push[a].max()) for v, a in enumerate(around)])
+    for _ in range(worn.push.rings):
+        push = np.array([0.5 * push[v] + 0.5 * push[a].mean() for v, a in enumerate(around)])
+    assert (push >= needed - 1e-12).all() and 0.0 < push.max() < 0.02
+    assert np.linalg.norm(out - points, axis=1) == pytest.approx(push, abs=2e-6)
+
+
+def test_no_vertex_is_left_inside_whatever_the_folds(worn):
+    rng = np.random.default_rng(3)
+    z, phi = worn.rest[:, 2], np.arctan2(worn.rest[:, 1], worn.rest[:, 0])
+    waves = sum(0.004 * np.sin(m * phi + k * z + rng.uniform(0, 6)) for m, k in ((3, 40), (6, 10), (9, 60)))
+    points, _ = tube(RADIUS + waves)
+    assert (radii(points) < RADIUS - 0.001).mean() > 0.3
+    assert radii(worn.clear(points)).min() > RADIUS + 0.5 * CLEARANCE
+
+
+def test_folds_ride_outwards_with_their_crests(worn):
+    """Folds of 40 mm, 10 mm high, half of them inside: eq 11 alone would cut them off at the skin."""
+    fold = 0.005 * np.sin(2.0 * np.pi * worn.rest[:, 2] / 0.04)
+    points, _ = tube(RADIUS + fold)
+    out = radii(worn.clear(points)).reshape(41, 48)[8:-8]
+    kept, cut = np.ptp(out, axis=0), np.ptp(np.maximum(points[:, 0].reshape(41, 48)[8:-8, :1], RADIUS + CLEARANCE))
+    assert kept.min() > 0.85 * 0.01
+    assert cut < 0.35 * 0.01
+
+
+def test_a_push_sets_in_steadily(worn):
+    """The body swells by 0.1 mm a step: no vertex ever moves by much more, nor by jerks."""
+    points, _ = tube(RADIUS + 0.006 + 0.002 * np.cos(3.0 * np.arctan2(worn.rest[:, 1], worn.rest[:, 0])))
+    swollen = [worn.body * [1.0 + s, 1.0 + s, 1.0] for s in np.arange(0.0, 0.24, 0.002)]
+    track = np.stack([cleared(worn.push, body, points) for body in swollen])
+    speed = np.linalg.norm(np.diff(track, axis=0), axis=2)
+    jerk = np.linalg.norm(np.diff(track, 2, axis=0), axis=2)
+    assert 0.9e-4 < speed.max() < 1.2e-4
+    # Over the softness of 1 mm, ten steps, the speed rises from none to all.
+    assert jerk.max() < 2.5e-5
+
+
+def test_a_vertex_beyond_the_end_of_the_body_is_left_alone():
+    body, body_faces = tube(RADIUS, 21, 64, 0.2, 0.01)
+    rest, faces = tube(RADIUS + 0.01)
+    push = PushOut(bind_clearance(rest, faces, body, body_faces))
+    narrow, _ = tube(0.8 * RADIUS)
+    moved = np.linalg.norm(cleared(push, body, narrow) - narrow, axis=1)
+    assert moved[narrow[:, 2] < 0.19].min() > 0.01
+    # A spread of 20 mm, and where trust begins to fade beside the end, another 20 mm.
+    assert moved[narrow[:, 2] > 0.25].max() < 1e-6
+
+
+def test_a_flat_face_in_the_body_harms_nothing(worn):
+    body = worn.body.copy()
+    body[worn.body_faces[100]] = body[worn.body_faces[100, 0]]
+    out = cleared(worn.push, body, worn.rest)
+    assert np.isfinite(out).all()
+    assert np.linalg.norm(out - worn.rest, axis=1).max() < 0.01
+
+
+# --- two limbs ----------------------------------------------------------------------------------------------------
+
+
+class TwoLimbs:
+    """Two cylinders side by side, far apart at rest, each in a sleeve of its own; the right one moves."""
+
+    def __init__(self):
+        one, one_faces = tube(RADIUS, 61, 64, LENGTH, 0.01)
+        cloth, cloth_faces = tube(RADIUS + 0.005, 41, 64, 0.3, 0.03)
+        cloth += [0.0, 0.0, 0.05]
+        self.apart = np.array([0.4, 0.0, 0.0])
+        self.body = np.concatenate([one, one + self.apart])
+        self.body_faces = np.concatenate([one_faces, one_faces + len(one)])
+        self.rest = np.concatenate([cloth, cloth + self.apart])
+        self.faces = np.concatenate([cloth_faces, cloth_faces + len(cloth)])
+        self.count, self.right = len(cloth), np.arange(len(one), 2 * len(one))
+        limb = np.repeat([0, 1], len(one_faces)).astype(np.int32)
+        limbs = Limbs(limb, np.repeat([1, 2], len(cloth)).astype(np.int32))
+        self.push = PushOut(bind_clearance(self.rest, self.faces, self.body, self.body_faces, limbs))
+
+    def at(self, gap):
+        """Body and garment with this gap between the cylinders [m], and the garment after the push."""
+        shift = [2.0 * RADIUS + gap - 0.4, 0.0, 0.0]
+        body, cloth = self.body.copy(), self.rest.copy()
+        body[self.right] += shift
+        cloth[self.count :] += shift
+        return cloth, cleared(self.push, body, cloth)
+
+
+@pytest.fixture(scope="module")
+def two_limbs():
+    return TwoLimbs()
+
+
+def test_far_limbs_leave_each_other_alone(two_limbs):
+    cloth, out = two_limbs.at(0.05)
+    assert np.abs(out - cloth).max() < 1e-6
+
+
+def test_cloth_keeps_out_of_another_limb(two_limbs):
+    # A gap of 8 mm: the sleeves, 5 mm off their own limbs, stand where the other sleeve is, but within both clearances
+    # of 3 mm there is room.
+    _, out = two_limbs.at(0.008)
+    left, right = out[: two_limbs.count], out[two_limbs.count :] - [2.0 * RADIUS + 0.008, 0.0, 0.0]
+    for own, other in ((left, left - [2.0 * RADIUS + 0.008, 0.0, 0.0]), (right, right + [2.0 * RADIUS + 0.008, 0, 0])):
+        assert radii(own).min() > RADIUS + CLEARANCE - SOFT
+        assert radii(other).min() > RADIUS + CLEARANCE - SOFT
+
+
+def test_limbs_that_leave_no_room_share_what_is_lacking(two_limbs):
+    # Overlapping by 10 mm: whatever is done is wrong; it ends half way, and nothing is thrown.
+    cloth, out = two_limbs.at(-0.01)
+    moved = np.linalg.norm(out - cloth, axis=1)
+    assert 0.008 < moved.max() < 0.02
+    facing = np.argmax(cloth[: two_limbs.count, 0])
+    assert out[facing, 0] == pytest.approx(RADIUS - 0.005, abs=0.003)
+
+
+def test_nothing_is_thrown_however_deep_limbs_are_in_each_other(two_limbs):
+    for gap in np.linspace(-0.09, 0.0, 10):
+        cloth, out = two_limbs.at(gap)
+        # No limb here is pushed out of by more than where pushing has faded, and the clearance.
+        assert np.linalg.norm(out - cloth, axis=1).max() < ClearanceSettings().overlap[1] + CLEARANCE
+
+
+# --- a garment over another one -----------------------------------------------------------------------------------
+
+
+def test_an_outer_garment_is_kept_outside_an_inner_one(worn):
+    rest, faces = tube(RADIUS + 0.03, angle=0.02)
+    push = PushOut(bind_clearance(rest, faces, worn.rest, worn.faces))
+    # The inner garment has folds that stand out through the outer one.
+    bulge = 0.02 + 0.012 * np.sin(4.0 * np.arctan2(worn.rest[:, 1], worn.rest[:, 0]) + 30.0 * worn.rest[:, 2])
+    inner, _ = tube(RADIUS + bulge)
+    outer, _ = tube(RADIUS + 0.025, angle=0.02)
+    out = cleared(push, inner, outer)
+    over = bind_clearance(out, faces, inner, worn.faces).height
+    assert (bind_clearance(outer, faces, inner, worn.faces).height < -0.001).mean() > 0.2
+    inside = (out[:, 2] > 0.01) & (out[:, 2] < LENGTH - 0.01)
+    assert over[inside].min() > 0.0
+
+
+# --- how it runs --------------------------------------------------------------------------------------------------
+
+
+def test_any_unit_of_length_gives_the_same(two_limbs):
+    shift = [2.0 * RADIUS + 0.004 - 0.4, 0.0, 0.0]
+    body, cloth = two_limbs.body.copy(), two_limbs.rest.copy()
+    body[two_limbs.right] += shift
+    cloth[two_limbs.count :] += shift
+    out = cleared(two_limbs.push, body, cloth)
+    in_centimetres = cleared(two_limbs.push, 100.0 * body, 100.0 * cloth, metre=100.0)
+    assert in_centimetres == pytest.approx(100.0 * out, abs=1e-2)
+
+
+def test_any_number_of_threads_gives_the_same_bits(two_limbs, monkeypatch):
+    single = two_limbs.at(0.002)[1]
+    monkeypatch.setattr(method, "LEAST_SPLIT", 100)
+    monkeypatch.setattr(method, "cpu_count", lambda: 3)
+    assert np.array_equal(TwoLimbs().at(0.002)[1], single)
+
+
+def test_a_frame_does_not_depend_on_the_one_before(two_limbs):
+    first = two_limbs.at(0.002)[1]
+    two_limbs.at(-0.02)
+    assert np.array_equal(two_limbs.at(0.002)[1], first)
+
+
+def test_a_body_with_other_vertices_is_refused(worn):
+    with pytest.raises(ValueError, match=r"The body has 10 vertices, but \d+ at rest\."):
+        cleared(worn.push, worn.body[:10], worn.rest)

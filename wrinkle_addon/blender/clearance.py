@@ -1,0 +1,170 @@
+"""Keeping a played garment clear of its body object, as Blender shows it in each frame."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ..database import WrinkleDatabase
+from ..garment import Body, check_body
+from ..penetration import ClearanceBinding, PushOut, bind_clearance
+from ..rig import FloatArray, Rig
+from ..wearer import worn_limbs
+from .character import apply, read_mesh, read_weights
+
+
+class BodyClearance:
+    """One garment's push out of its body. What keeps it from pushing is told, and the garment plays as it is.
+
+    Args:
+        database: The garment's.
+        device: Warp device of its positions.
+
+    Attributes:
+        note: One sentence, if the garment should be kept clear in the frame read last and is not; else empty.
+    """
+
+    def __init__(self, database: WrinkleDatabase, device: str):
+        self._database = database
+        self._device = device
+        # The body that the garment was bound to, as glanced at, and why it could not be.
+        self._bound: tuple[object, str] | None = None
+        self._push: PushOut | None = None
+        self.note = ""
+
+    def read(
+        self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph, scale: float
+    ) -> NDArray[np.float32] | None:
+        """The body of this frame in the garment's object space, shape [body_vertex_count, 3]; None to leave it be.
+
+        Args:
+            garment: The original garment object.
+            depsgraph: The evaluated scene.
+            scale: Metres of the bake per unit of the armature's own space.
+        """
+        self.note = ""
+        if not garment.wrinkles.clear_of_body:
+            return None
+        try:
+            return self._read(garment, depsgraph, scale)
+        except ValueError as error:
+            self.note = f"{error} The garment '{garment.name}' plays without being kept clear of it."
+            return None
+
+    def _read(
+        self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph, scale: float
+    ) -> NDArray[np.float32] | None:
+        settings = garment.wrinkles
+        body = _find_body(settings.body, depsgraph)
+        mesh = body.data
+        points = np.empty(3 * len(mesh.vertices), np.float32)
+        mesh.attributes["position"].data.foreach_get("vector", points)
+        self._bind(garment, body, depsgraph, scale)
+        assert self._push is not None
+        self._push.set_distance(settings.clearance)
+        to_garment = garment.evaluated_get(depsgraph).matrix_world.inverted_safe() @ body.matrix_world
+        return apply(np.array(to_garment, np.float64), points.reshape(-1, 3).astype(np.float64)).astype(np.float32)
+
+    def _bind(
+        self, garment: bpy.types.Object, body: bpy.types.Object, depsgraph: bpy.types.Depsgraph, scale: float
+    ) -> None:
+        """See to it that the garment is bound to this body; once for each, as it takes some tenths of a second."""
+        original = garment.wrinkles.body
+        glance = original.session_uid, original.data.session_uid, len(original.data.vertices), len(body.data.vertices)
+        if self._bound is None or self._bound[0] != glance:
+            armature = garment.wrinkles.armature.evaluated_get(depsgraph)
+            to_rig = np.array(armature.matrix_world.inverted_safe() @ body.matrix_world, np.float64)
+            to_rig[:3] *= scale
+            try:
+                binding = bind_to_body(self._database, rest_body(original, body, self._database.header.rig, to_rig))
+                self._push = PushOut(binding, device=self._device)
+                self._bound = glance, ""
+            except ValueError as error:
+                self._bound = glance, str(error)
+        if self._bound[1]:
+            raise ValueError(self._bound[1])
+
+    def clear(self, body: NDArray[np.float32], positions: wp.array, placement: FloatArray) -> None:
+        """Push a garment out of what :meth:`read` gave, in place.
+
+        Args:
+            positions: The garment in its object space, array of vec3, shape [vertex_count].
+            placement: Matrix from rig space [m] to that space, shape [4, 4].
+        """
+        assert self._push is not None
+        metre = abs(float(np.linalg.det(placement[:3, :3]))) ** (1.0 / 3.0)
+        # A garment that is scaled to nothing is not seen.
+        if metre > 0.0:
+            self._push.clear(body, positions, metre)
+
+
+def bind_to_body(database: WrinkleDatabase, body: Body) -> ClearanceBinding:
+    """Bind a database's settled garment to the body at rest."""
+    header = database.header
+    limbs = worn_limbs(header.rig, header.garment, body)
+    return bind_clearance(database.rest, header.garment.faces, body.positions, body.faces, limbs)
+
+
+def _find_body(body: bpy.types.Object | None, depsgraph: bpy.types.Depsgraph) -> bpy.types.Object:
+    """The evaluated body.
+
+    Raises:
+        ValueError: One sentence, if there is none in this frame.
+    """
+    if body is None:
+        raise ValueError("No body is set.")
+    if body.type != "MESH":
+        raise ValueError(f"The body '{body.name}' is no mesh.")
+    shown = depsgraph.objects.get(body.name)
+    by_eye = depsgraph.mode == "VIEWPORT" and body.hide_get(view_layer=depsgraph.view_layer) and not body.hide_viewport
+    # Blender does not move what is hidden, except by the eye in the outliner, but says that it is evaluated.
+    if not by_eye and (shown is None or shown.original != body):
+        raise ValueError(f"The body '{body.name}' is hidden or not in the scene.")
+    if body.data.is_editmode:
+        raise ValueError(f"The body '{body.name}' is being edited.")
+    return body.evaluated_get(depsgraph)
+
+
+def rest_body(original: bpy.types.Object, evaluated: bpy.types.Object, rig: Rig, to_rig: FloatArray) -> Body:
+    """The body as it rests: its own mesh with the shape keys that nothing animates, under no modifier.
+
+    Args:
+        to_rig: Matrix from the body's object space to rig space [m], shape [4, 4].
+
+    Raises:
+        ValueError: One sentence, if modifiers make another mesh of it, or it is none that a garment is worn on.
+    """
+    positions, faces = read_mesh(original.data)
+    if len(evaluated.data.vertices) != len(positions):
+        raise ValueError(
+            f"The body '{original.name}' has {len(positions)} vertices, and {len(evaluated.data.vertices)} with its "
+            "modifiers."
+        )
+    shaped = apply(to_rig, positions + _constant_shape(original))
+    body = Body(shaped, faces, read_weights(original, original.data, rig))
+    check_body(body)
+    return body
+
+
+def _constant_shape(body: bpy.types.Object) -> FloatArray | float:
+    """What shape keys that nothing animates add to a mesh, in its own space, shape [vertex_count, 3]."""
+    keys = body.data.shape_keys
+    if keys is None or not keys.use_relative:
+        return 0.0
+    if keys.animation_data is not None and keys.animation_data.action is not None:
+        return 0.0
+    driven = {curve.data_path for curve in keys.animation_data.drivers} if keys.animation_data else set()
+    total = np.zeros((len(body.data.vertices), 3))
+    for block in keys.key_blocks:
+        if block.mute or block.value == 0.0 or block.path_from_id("value") in driven:
+            continue
+        total += block.value * (_key_shape(block) - _key_shape(block.relative_key))
+    return total
+
+
+def _key_shape(block: bpy.types.ShapeKey) -> FloatArray:
+    shape = np.empty(3 * len(block.data), np.float32)
+    block.data.foreach_get("co", shape)
+    return shape.reshape(-1, 3).astype(np.float64)
