@@ -8,7 +8,7 @@ from types import ModuleType
 import bpy
 
 from ..wrinkle_addon.blender import command, handlers, panels, preferences, properties
-from . import bake, cancel_bake, setup_garment, take_ranges
+from . import bake, cancel_bake, make_coarse_mesh, setup_garment, take_ranges
 
 MODULES: Sequence[ModuleType] = (
     preferences,
@@ -17,6 +17,7 @@ MODULES: Sequence[ModuleType] = (
     take_ranges,
     bake,
     cancel_bake,
+    make_coarse_mesh,
     panels,
     handlers,
     command,

@@ -60,6 +60,10 @@ def _add_character_verbs(add: AddVerb) -> None:
     setup.add_argument("--ease", metavar="GIRTH,LENGTH", help="extra cloth in percent, such as 3,4")
     setup.add_argument("--fabric", metavar="NAME", help=f"what it is made of: {', '.join(FABRICS)}")
     setup.add_argument("--pins", help="vertex group of the garment that is held to the skin")
+    setup.add_argument(
+        "--coarse", metavar="OBJECT|make[:COUNT]",
+        help="let the garment follow this mesh, or a coarse mesh made from it, of 700 vertices if left out",
+    )  # fmt: skip
     setup.add_argument("--out", type=Path, required=True, help="the .blend file to write")
 
     joints = add(

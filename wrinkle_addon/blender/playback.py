@@ -22,6 +22,7 @@ from ..folder_verbs import choose_device
 from ..joint_wrinkles import Formulation, JointWrinkles
 from ..rig import FloatArray, Pose
 from .armature import PoseReader, rig_scale
+from .coarse_layer import CoarseBinding
 from .matching import check_mesh, match_rig
 from .node_group import find_modifier, shows_all
 from .preferences import device_name
@@ -65,6 +66,7 @@ class Player:
         source: The source that its settings name.
 
     Attributes:
+        coarse: The garment's coarse layer.
         clamped: Joints that went beyond their samples in the last pose, and by how much [rad].
 
     Raises:
@@ -75,6 +77,7 @@ class Player:
         device = choose_device(source.device)
         self.source = source
         self.database = WrinkleDatabase.open(Path(source.database))
+        self.coarse = CoarseBinding()
         self.doubt()
         self.check(garment)
         make_writable(garment)
@@ -118,6 +121,7 @@ class Player:
     def doubt(self) -> None:
         """Check and play again, whatever seems unchanged: the file's data was replaced."""
         self._checked = self._inputs = None
+        self.coarse.doubt()
 
     def read_pose(self, armature: bpy.types.Object) -> Pose:
         """The pose of the evaluated armature in the metres of the bake."""
@@ -140,10 +144,15 @@ class Player:
         placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
         strengths = evaluated.wrinkles.strengths()
         frame = depsgraph.scene.frame_current_final
-        inputs = (pose.matrices.tobytes(), placement.tobytes(), strengths, frame)
+        layer = self.coarse.layer(garment, self.database, self._evaluator)
+        coarse = layer.read(garment, depsgraph) if layer is not None else None
+        inputs = (pose.matrices.tobytes(), placement.tobytes(), strengths, frame, coarse)
         if only_changes and inputs == self._inputs:
             return
-        self._evaluator.evaluate(pose, self._positions, strengths, placement)
+        if layer is None:
+            self._evaluator.evaluate(pose, self._positions, strengths, placement)
+        else:
+            layer.evaluate(pose, self._positions, strengths, placement)
         if self._host is not self._positions:
             wp.copy(self._host, self._positions)
             wp.synchronize_device(self._positions.device)

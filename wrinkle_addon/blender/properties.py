@@ -12,6 +12,7 @@ from ..fabrics import FABRICS, Fabric, find_fabric
 from ..joint_wrinkles import Formulation
 from ..rig import Joint
 from . import playback
+from .coarse_layer import MESH, NONE, choose_coarse, tie_coarse
 from .node_group import add_modifier, set_mask
 from .write import show_skinned
 
@@ -23,6 +24,10 @@ PLANS = (
     ("BUDGET", "Budget", "The finest plan that keeps to a number of simulated samples"),
 )
 
+COARSE_LAYERS = (
+    (NONE, "None", "The garment moves as its armature does"),
+    (MESH, "Mesh", "Any mesh that moves: a cloth simulation, a Surface Deform rig, a cache, a skinned mesh"),
+)
 
 OWN_FABRIC = "OWN"
 
@@ -38,6 +43,21 @@ def _switched(settings: GarmentSettings, context: bpy.types.Context) -> None:
     if not settings.enabled:
         show_skinned(settings.id_data)
     _played_anew(settings, context)
+
+
+def _layered(settings: GarmentSettings, context: bpy.types.Context) -> None:
+    tie_coarse(settings.id_data)
+    _played_anew(settings, context)
+
+
+def _coarse_chosen(settings: GarmentSettings, context: bpy.types.Context) -> None:
+    choose_coarse(settings.id_data)
+    playback.forget(settings.id_data)
+    settings.id_data.update_tag()
+
+
+def _may_be_coarse(settings: GarmentSettings, ob: bpy.types.Object) -> bool:
+    return ob.type == "MESH" and ob != settings.id_data
 
 
 def _masked(settings: GarmentSettings, context: bpy.types.Context) -> None:
@@ -144,6 +164,36 @@ class GarmentSettings(bpy.types.PropertyGroup):
             (Formulation.PAPER.name, "Paper", "Positions along arcs, averaged by distance (Wang et al. 2010)"),
         ],
         default=Formulation.OFFSETS.name,
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+    coarse_layer: bpy.props.EnumProperty(
+        name="Coarse Layer",
+        items=COARSE_LAYERS,
+        default=NONE,
+        description="What the garment follows where it moves as a whole",
+        override=_OVERRIDABLE,
+        update=_layered,
+    )
+    coarse: bpy.props.PointerProperty(
+        type=bpy.types.Object,
+        name="Coarse Mesh",
+        description="As modelled, it lies on the garment; choose it where both stand as they were modelled",
+        poll=_may_be_coarse,
+        override=_OVERRIDABLE,
+        update=_coarse_chosen,
+    )
+    coarse_place: bpy.props.FloatVectorProperty(
+        size=16, options={"HIDDEN"}, override=_OVERRIDABLE, description="The coarse mesh in the garment's space"
+    )
+    follow: bpy.props.FloatProperty(
+        name="Follow",
+        default=1.0,
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
+        options={"ANIMATABLE"},
+        description="How much of the coarse layer's motion the garment takes on",
         override=_OVERRIDABLE,
         update=_played_anew,
     )

@@ -10,6 +10,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from ..bake import BakeJob, Wearer
@@ -25,6 +26,7 @@ from ..rig import FloatArray, Pose
 from ..storage import make_folder
 from .character import SamplingStage, apply, sampling_stage
 from .clip import ClipFrame, read_clip
+from .coarse_layer import CoarseBinding
 from .files import check_output
 from .matching import check_database
 from .setup import stage_job
@@ -44,15 +46,21 @@ def synthesize(options: argparse.Namespace) -> Mapping[str, Any]:
     scale = check_database(garment, database.header)
     formulation = Formulation(options.formulation) if options.formulation else Formulation[settings.formulation]
     evaluator = JointWrinkles(database, formulation).bind(device)
+    layer = CoarseBinding().layer(garment, database, evaluator)
+    out = wp.zeros(evaluator.vertex_count, dtype=wp.vec3, device=device)
     clamped: dict[str, float] = {}
 
     def positions() -> Iterator[NDArray[np.float32]]:
         for clip in read_clip(garment, database.header.rig, frames, scale):
             # Strengths may be animated.
-            found = evaluator.positions(clip.pose, settings.strengths())
+            if layer is None:
+                evaluator.evaluate(clip.pose, out, settings.strengths(), clip.rig_to_garment)
+            else:
+                layer.read(garment, bpy.context.evaluated_depsgraph_get())
+                layer.evaluate(clip.pose, out, settings.strengths(), clip.rig_to_garment)
             for name, beyond in evaluator.clamped.items():
                 clamped[name] = max(clamped.get(name, 0.0), math.degrees(float(np.abs(beyond).max())))
-            yield apply(clip.rig_to_garment, found.astype(np.float64)).astype(np.float32)
+            yield out.numpy()
 
     write_pc2(options.out, database.header.garment.vertex_count, frames[0], positions(), len(frames))
     text = [f"{len(frames)} frames written to {options.out}."]
