@@ -1,8 +1,8 @@
 """Filling the cache of a coarse simulation: over a range of frames, or one frame after the other as they are played.
 
-    history = CoarseHistory(simulation, cache)
-    for step in bake_history(history, scene_frames, last=120):
-        step.frame, step.kept, step.report
+history = CoarseHistory(simulation, cache)
+for step in bake_history(history, scene_frames, last=120):
+    step.frame, step.kept, step.report
 """
 
 from __future__ import annotations

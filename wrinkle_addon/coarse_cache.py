@@ -215,7 +215,9 @@ class CoarseCache:
         if not self.first <= frame <= self.last:
             held = f"holds frames {self.first} to {self.last}" if self.last >= self.first else "is empty"
             there = "up to" if frame > self.last else "from"
-            raise NotSimulated(f"The coarse simulation in '{self.folder}' {held}, not frame {frame}; simulate {there} it.")
+            raise NotSimulated(
+                f"The coarse simulation in '{self.folder}' {held}, not frame {frame}; simulate {there} it."
+            )
         arrays, metadata = storage.read_arrays(self._path(frame))
         found: dict[str, dict[str, NDArray[Any]]] = {"positions": {}, "motion": {}, "state": {}}
         for name, array in arrays.items():
