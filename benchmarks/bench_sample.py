@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from measure import Report, milliseconds, read_options
 from outfit import SHELL, Outfit, SkinnedBody, dress
-from wrinkle_synthesis.wrinkle_addon.bake import BakeSettings, Wearer
 from wrinkle_synthesis.wrinkle_addon.plan import paper_plan
 from wrinkle_synthesis.wrinkle_addon.rig import Pose, pose_of_angles
+from wrinkle_synthesis.wrinkle_addon.wearer import BakeSettings, Wearer
 
 SIZES = (2_000, 12_000, 25_000)
 MOST_SECONDS = {2_000: 1.0, 25_000: 10.0}

@@ -13,13 +13,14 @@ from wrinkle_synthesis.demo.character import load_character
 from wrinkle_synthesis.demo.garment import make_garment
 from wrinkle_synthesis.demo.motion import in_place, load_clip, resampled, to_rig
 from wrinkle_synthesis.wrinkle_addon import rotations
-from wrinkle_synthesis.wrinkle_addon.bake import BakeJob, BakeSettings, SampleShape, bake
+from wrinkle_synthesis.wrinkle_addon.bake import BakeJob, SampleShape, bake
 from wrinkle_synthesis.wrinkle_addon.database import WrinkleDatabase, skin_frame
 from wrinkle_synthesis.wrinkle_addon.garment import Body, Garment, SkinWeights, skin_garment, vertex_normals
 from wrinkle_synthesis.wrinkle_addon.joints import find_joints
 from wrinkle_synthesis.wrinkle_addon.motion import retarget
 from wrinkle_synthesis.wrinkle_addon.plan import Sample, SamplePlan, budget_plan, paper_plan
 from wrinkle_synthesis.wrinkle_addon.rig import FloatArray, Joint, Pose, Rig
+from wrinkle_synthesis.wrinkle_addon.wearer import BakeSettings
 
 CLIP = "spinkick"
 QUICK_SAMPLES = 60

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from random_bakes import RandomBake
 from wrinkle_synthesis.wrinkle_addon import storage
-from wrinkle_synthesis.wrinkle_addon.bake import REST_EFFORT, UNTANGLINGS, BakeJob, SimulatedSamples, bake
+from wrinkle_synthesis.wrinkle_addon.bake import BakeJob, SimulatedSamples, bake
 from wrinkle_synthesis.wrinkle_addon.garment import bind_to_surface
 from wrinkle_synthesis.wrinkle_addon.rig import Pose
 from wrinkle_synthesis.wrinkle_addon.topology import mesh_edges
+from wrinkle_synthesis.wrinkle_addon.wearer import REST_EFFORT, UNTANGLINGS
 
 Array = np.ndarray
 

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from skeletons import human
 from wrinkle_synthesis.wrinkle_addon import rotations
-from wrinkle_synthesis.wrinkle_addon.bake import BakeJob, BakeSettings, SampleShape
+from wrinkle_synthesis.wrinkle_addon.bake import BakeJob, SampleShape
 from wrinkle_synthesis.wrinkle_addon.database import skin_frame
 from wrinkle_synthesis.wrinkle_addon.garment import Body, Garment, SkinWeights, skin_garment
 from wrinkle_synthesis.wrinkle_addon.joints import find_joints, with_ranges
 from wrinkle_synthesis.wrinkle_addon.plan import JointGrid, Sample, SamplePlan
 from wrinkle_synthesis.wrinkle_addon.rig import Joint, Pose, Rig, pose_of_angles
+from wrinkle_synthesis.wrinkle_addon.wearer import BakeSettings
 
 Array = np.ndarray
 DEGREES = {

@@ -9,12 +9,13 @@ from functools import cache
 import numpy as np
 from dolls import Array, Doll, tube_along, weights_by_distance
 from skeletons import human, scaled
-from wrinkle_synthesis.wrinkle_addon.bake import BakeJob, BakeSettings
+from wrinkle_synthesis.wrinkle_addon.bake import BakeJob
 from wrinkle_synthesis.wrinkle_addon.fabrics import FABRICS
 from wrinkle_synthesis.wrinkle_addon.garment import Body, Garment, bind_to_surface, skin_garment
 from wrinkle_synthesis.wrinkle_addon.joints import find_joints, with_ranges
 from wrinkle_synthesis.wrinkle_addon.plan import JointGrid, SamplePlan
 from wrinkle_synthesis.wrinkle_addon.rig import Rig
+from wrinkle_synthesis.wrinkle_addon.wearer import BakeSettings
 
 PATHS = {
     "arm": ("hand_L", "forearm_L", "upperarm_L", "chest"),

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from synthesis_reference import joined
 from wrinkle_synthesis.wrinkle_addon import rotations
-from wrinkle_synthesis.wrinkle_addon.bake import BakeJob, BakeSettings, SampleShape, bake
+from wrinkle_synthesis.wrinkle_addon.bake import BakeJob, SampleShape, bake
 from wrinkle_synthesis.wrinkle_addon.blender.armature import apply_motion, read_rig
 from wrinkle_synthesis.wrinkle_addon.blender.character import apply, read_garment, rig_from_world
 from wrinkle_synthesis.wrinkle_addon.blender.setup import bind_to_armature
@@ -18,6 +18,7 @@ from wrinkle_synthesis.wrinkle_addon.database import skin_frame
 from wrinkle_synthesis.wrinkle_addon.garment import Body
 from wrinkle_synthesis.wrinkle_addon.plan import JointGrid, Sample, SamplePlan
 from wrinkle_synthesis.wrinkle_addon.rig import FloatArray, Joint, Pose, Rig, pose_of_angles
+from wrinkle_synthesis.wrinkle_addon.wearer import BakeSettings
 
 LENGTH, RADIUS = 0.6, 0.05
 TOLERANCE = 2.0e-4

@@ -21,8 +21,9 @@ from .cloth_contact import ContactSearch, ContactSettings, Limbs
 from .cloth_model import ClothModel, FloatArray
 from .cloth_state import ClothState, SettleReport, SolverSettings
 from .divergence import find_divergence, first_lost
-from .elasticity import Elasticity, membrane_of
+from .elasticity import Elasticity, upload_garment
 from .linear_solver import BlockSystem
+from .settle_safeguards import SettleSafeguards
 from .surface import BodyVolume, SurfaceMeasures
 from .time_integration import EarlierStep, step_inertia
 from .untangling import untangle
@@ -31,15 +32,6 @@ if TYPE_CHECKING:
     from scipy import sparse
 
 STANDARD_GRAVITY = 9.80665
-
-# A time step this long [s] has next to no inertia against the stiffness of any fabric.
-MASSLESS_SPAN = 10.0
-
-# Below this time step [s] a garment is as heavy as helps.
-HEAVY_SPAN = 0.02
-
-# A step that lets the residual grow by more than this went too far.
-MOST_GROWTH = 1.1
 
 # A vertex that ends a step deeper in the body than this [m] is put on its skin.
 EXPELLED_DEPTH = 0.001
@@ -237,10 +229,7 @@ class ClothSimulation:
     def settle(self, tolerance: float = 1.0, max_iterations: int = 60, *, trapped: float = 0.0) -> SettleReport:
         """Go to static equilibrium with the body at rest.
 
-        Newton's method with two safeguards that fade while full steps do not raise the residual. First
-        mass, as in a time step without velocity that grows; then, once there is next to none, leaving out the
-        compressive stress, which makes the Hessian indefinite on the way but without which the last part of it is slow.
-        Mass comes back faster than it fades, so that steps that go back and forth between two walls get smaller.
+        Newton's method with the safeguards of :mod:`.settle_safeguards`.
 
         Args:
             tolerance: Residual to stop at, in root mean square nodal weights (1 for Wang et al., 0.1 for Xu et al.).
@@ -248,12 +237,10 @@ class ClothSimulation:
             trapped: Share of the vertices that need not come to rest: cloth caught where limbs of the body cut into
                 each other has no equilibrium, and must not keep the rest waiting.
         """
-        span = np.full(self.world_count, 1.0 / 15.0)
-        kept = np.zeros(self.world_count)
+        safeguards = SettleSafeguards(self.world_count)
         moving = np.ones(self.world_count, bool)
         residual = np.full(self.world_count, np.inf)
-        length = share = np.ones(self.world_count)
-        massless = np.zeros(self.world_count, bool)
+        taken = np.ones(self.world_count)
         iteration = linear_total = 0
         self._rest()
         for iteration in range(max_iterations + 1):
@@ -261,23 +248,16 @@ class ClothSimulation:
             self._set_inertia(self.positions, np.zeros(self.world_count))
             self._evaluate_gradient()
             before, residual = residual, np.where(moving, self._rms_residual(trapped), residual)
-            # Planes are found anew between steps, out of the line search's sight.
-            far = (residual > MOST_GROWTH * before) & self._contact.touches()
             if iteration:
-                well = (length == share) & ~far
-                kept = np.where(well, np.where(massless, np.minimum(kept + 0.2, 1.0), kept), 0.5 * kept)
-                span = np.where(well, np.minimum(2.0 * span, 1.0e3), np.maximum(0.25 * span, 1.0 / 240.0))
-            # No mass is heavy against a wall: what goes back and forth between two goes half the way back.
-            share = np.where(far & (span < HEAVY_SPAN), 0.5, 1.0)
+                safeguards.judge(before, residual, taken, self._contact.touches())
             # A world that is done must not go on with its neighbours, or its result would depend on them.
             moving &= residual > tolerance
             if not moving.any() or iteration == max_iterations:
                 break
             self._moving.assign(moving.astype(np.int32))
-            self._inverse_dt2.assign(1.0 / span**2)
-            massless = span >= MASSLESS_SPAN
-            self._kept.assign(np.where(massless, kept, 0.0))
-            iterations, length = self._newton_step(share)
+            self._inverse_dt2.assign(1.0 / safeguards.span**2)
+            self._kept.assign(safeguards.kept)
+            iterations, taken = self._newton_step(safeguards.share)
             linear_total += iterations
         self._moving.fill_(1)
         self._kept.zero_()
@@ -484,19 +464,10 @@ class ClothSimulation:
 
     def _upload_garment(self, pin_stiffness: ArrayLike | None) -> assembly.Garment:
         model = self.model
-        garment = assembly.Garment()
-        garment.faces = wp.array(model.faces, dtype=wp.int32, device=self.device)
-        garment.rest_inverse = wp.array(model.rest_inverse, dtype=wp.mat22d, device=self.device)
-        garment.membrane = membrane_of(model.fabric)
-        for name in ("rest_area", "mass", "area", "bending_coefficients"):
-            setattr(garment, name, wp.array(getattr(model, name), dtype=wp.float64, device=self.device))
-        for name in ("corner_start", "corners", "bending_start", "bending_columns"):
-            setattr(garment, name, wp.array(getattr(model, name), dtype=wp.int32, device=self.device))
         pins = np.zeros(model.vertex_count) if pin_stiffness is None else np.asarray(pin_stiffness, np.float64)
         if pins.shape != (model.vertex_count,) or not (pins >= 0.0).all():
             raise ValueError(f"pin_stiffness must be {model.vertex_count} numbers that are not negative.")
-        garment.pin_stiffness = wp.array(pins, dtype=wp.float64, device=self.device)
-        return garment
+        return upload_garment(model, pins, self.device)
 
     def _allocate_state(self) -> None:
         def array(shape: tuple[int, ...] | int, dtype: type) -> wp.array:

@@ -60,6 +60,29 @@ class Limbs:
     of_vertices: IntArray
 
 
+def hold_pairs(contact: assembly.Contact, capacity: int, device: Any) -> None:
+    """Make room for this many pairs of the garment with itself."""
+    contact.pair_vertices = wp.zeros(capacity, dtype=wp.vec4i, device=device)
+    contact.pair_weights = wp.zeros(capacity, dtype=wp.vec4, device=device)
+    contact.pair_normal = wp.zeros(capacity, dtype=wp.vec3, device=device)
+    contact.pair_strength = wp.zeros(capacity, dtype=wp.float32, device=device)
+    contact.incident = wp.zeros(4 * capacity, dtype=wp.int32, device=device)
+
+
+def list_incident(contact: assembly.Contact) -> None:
+    """For every vertex, the pairs that push it."""
+    capacity, device = len(contact.pair_strength), contact.pair_strength.device
+    pairs = [contact.pair_total, contact.pair_vertices]
+    start, count = contact.incident_start, contact.incident_count
+    count.zero_()
+    wp.launch(self_contact.count_incident, dim=capacity, inputs=pairs, outputs=[count], device=device)
+    wp.utils.array_scan(count, start, inclusive=False)
+    count.zero_()
+    found = [count, contact.incident]
+    wp.launch(self_contact.fill_incident, dim=capacity, inputs=[*pairs, start], outputs=found, device=device)
+    wp.launch(self_contact.sort_incident, dim=len(count), inputs=[start, count, contact.incident], device=device)
+
+
 class ContactSearch:
     """Contact planes, friction anchors and self-contact pairs of every world.
 
@@ -143,30 +166,12 @@ class ContactSearch:
 
         Where ``following`` is not 0, they follow the vertices that slip, and new contacts stick; elsewhere they stay.
         """
-        settings, c = self.settings, self.frozen
+        c = self.frozen
         self._launch(
             contact.update_anchors,
             self._shape,
-            [
-                positions,
-                self._area,
-                self._body.points,
-                self._body.faces,
-                c.face,
-                self._planes.weights,
-                c.point,
-                c.normal,
-                wp.float64(settings.thickness),
-                wp.float64(settings.pressure),
-                wp.float64(settings.depth),
-                wp.float64(self._fabric.friction),
-                wp.float64(self._fabric.holding_friction),
-                wp.float64(settings.slip),
-                following,
-                self.anchor_face,
-                self.anchor_weights,
-            ],
-            [c.anchor, c.friction_bound],
+            [positions, self._area, self._body, self._planes, self._law, following],
+            [self.anchor_face, self.anchor_weights, c.anchor, c.friction_bound],
         )
 
     def touches(self) -> NDArray[np.bool_]:
@@ -176,35 +181,23 @@ class ContactSearch:
     def expel(self, positions: wp.array, limit: float) -> None:
         """Put vertices deeper in the body than ``limit`` [m] on its skin, unless a fold's other side is there."""
         self._find_planes(positions)
-        c = self.frozen
         depths = [wp.float64(limit), wp.float64(self.settings.depth)]
-        self._launch(contact.expel_vertices, self._shape, [c.face, c.point, c.normal, *depths, positions], [])
+        self._launch(contact.expel_vertices, self._shape, [self._planes, *depths, positions], [])
 
     def hold(self, gradient: wp.array) -> None:
         """Place the anchors of the planes found last so that friction balances a gradient [N] taken without it."""
-        c = self.frozen
         self._launch(
             contact.hold_anchors,
             self._shape,
-            [
-                gradient,
-                self._body.points,
-                self._body.faces,
-                c.face,
-                c.point,
-                c.normal,
-                c.friction_bound,
-                wp.float64(self.settings.slip),
-            ],
+            [gradient, self._body, self._planes, self.frozen.friction_bound, self._law.slip],
             [self.anchor_face, self.anchor_weights],
         )
 
     def clearance(self, positions: wp.array) -> NDArray[np.float32]:
         """Signed distance of every vertex to the body [m], negative inside, 1e6 far away."""
         self._find_planes(positions)
-        c = self.frozen
         gap = wp.zeros(self._shape, dtype=wp.float32, device=self._device)
-        self._launch(contact.measure_depth, self._shape, [positions, c.face, c.point, c.normal], [gap])
+        self._launch(contact.measure_depth, self._shape, [positions, self._planes], [gap])
         return gap.numpy()
 
     def _find_planes(self, positions: wp.array, remembering: wp.array | None = None) -> None:
@@ -244,20 +237,7 @@ class ContactSearch:
         ):
             rows = [self._partner, self._pair_start[owners], self._pair_count[owners]]
             self._launch(kernel, shape, [*inputs, *rows, area, wp.float64(self.settings.pressure)], found)
-        self._list_incident()
-
-    def _list_incident(self) -> None:
-        """For every vertex, the pairs that push it."""
-        c = self.frozen
-        pairs = [c.pair_total, c.pair_vertices]
-        c.incident_count.zero_()
-        self._launch(self_contact.count_incident, len(c.pair_strength), pairs, [c.incident_count])
-        wp.utils.array_scan(c.incident_count, c.incident_start, inclusive=False)
-        c.incident_count.zero_()
-        found = [c.incident_count, c.incident]
-        self._launch(self_contact.fill_incident, len(c.pair_strength), [*pairs, c.incident_start], found)
-        owners = len(c.incident_count)
-        self._launch(self_contact.sort_incident, owners, [c.incident_start, c.incident_count, c.incident], [])
+        list_incident(c)
 
     def _make_body(self, faces: IntArray, positions: FloatArray) -> None:
         start, corners = group(faces.ravel(), positions.shape[1])
@@ -282,6 +262,12 @@ class ContactSearch:
         planes.point, planes.normal = self._zeros(shape, wp.vec3d), self._zeros(shape, wp.vec3d)
         planes.hollow = self._zeros(shape, wp.vec3)
         self._body_reach, self._planes = reach, planes
+        law = contact.ContactLaw()
+        for name in ("thickness", "depth", "slip", "pressure"):
+            setattr(law, name, wp.float64(getattr(settings, name)))
+        law.friction = wp.float64(self._fabric.friction)
+        law.holding = wp.float64(self._fabric.holding_friction)
+        self._law = law
         c = assembly.Contact()
         c.thickness = wp.float64(settings.thickness)
         c.pressure = wp.float64(settings.pressure)
@@ -314,10 +300,7 @@ class ContactSearch:
 
     def _hold_pairs(self, capacity: int) -> None:
         """Make room for this many self-contact pairs."""
-        c = self.frozen
-        c.pair_vertices, c.pair_weights = self._zeros(capacity, wp.vec4i), self._zeros(capacity, wp.vec4)
-        c.pair_normal, c.pair_strength = self._zeros(capacity, wp.vec3), self._zeros(capacity, wp.float32)
-        c.incident = self._zeros(4 * capacity, wp.int32)
+        hold_pairs(self.frozen, capacity, self._device)
         self.pair_energy, self.pair_force = self._zeros(capacity, wp.float64), self._zeros(capacity, wp.vec3)
 
     def _meshes(self, points: wp.array, faces: wp.array) -> tuple[list[wp.Mesh], wp.array]:

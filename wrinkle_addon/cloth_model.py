@@ -5,7 +5,9 @@ Built from the garment's rest surface with NumPy; :class:`~.cloth.ClothSimulatio
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -23,12 +25,24 @@ from .fabrics import Fabric
 from .plate_bending import FloatArray, bending_matrix
 from .topology import IntArray, group, inner_edges, row_starts
 
+Rest = TypeVar("Rest", HingeRest, SpringRest)
+
+
+@dataclass(frozen=True)
+class FabricPart:
+    """Vertices and triangles of a model that are of one fabric."""
+
+    fabric: Fabric
+    vertices: slice
+    triangles: slice
+
 
 @dataclass(frozen=True, eq=False)
 class ClothModel:
-    """Rest state and sparsity of one garment.
+    """Rest state and sparsity of one garment, or of several that are simulated together.
 
     Attributes:
+        parts: Its fabrics, in the order of the vertices; one garment has one.
         rest_positions: The rest surface [m], shape [vertex_count, 3].
         faces: Triangles, shape [triangle_count, 3].
         rest_inverse: Inverse of the rest edge matrix in material axes [1/m], shape [triangle_count, 2, 2].
@@ -47,7 +61,7 @@ class ClothModel:
         hinges, springs: Those of a fabric that is made of them, with where they add to vertices and blocks.
     """
 
-    fabric: Fabric
+    parts: tuple[FabricPart, ...]
     rest_positions: FloatArray
     faces: IntArray
     rest_inverse: FloatArray
@@ -70,6 +84,12 @@ class ClothModel:
     far_coefficients: FloatArray = field(repr=False)
     hinges: tuple[HingeRest, Gathering] | None = None
     springs: tuple[SpringRest, Gathering] | None = None
+
+    @property
+    def fabric(self) -> Fabric:
+        """The fabric of a single garment."""
+        (part,) = self.parts
+        return part.fabric
 
     @property
     def vertex_count(self) -> int:
@@ -141,7 +161,7 @@ def build_cloth_model(
     block_bending = np.zeros(len(columns))
     block_bending[place[near]] = b_values[near]
     return ClothModel(
-        fabric=fabric,
+        parts=(FabricPart(fabric, slice(0, vertex_count), slice(0, len(faces))),),
         rest_positions=positions,
         faces=faces,
         rest_inverse=np.linalg.inv(edges).astype(np.float64),
@@ -165,6 +185,75 @@ def build_cloth_model(
         hinges=hinges and (hinges, gather(hinges.vertices, vertex_count, blocks)),
         springs=springs and (springs, gather(springs.vertices, vertex_count, blocks)),
     )
+
+
+def join_models(models: Sequence[ClothModel]) -> ClothModel:
+    """Several garments as one model, in their order; nothing connects them."""
+    vertices = np.cumsum([0] + [model.vertex_count for model in models])
+    triangles = np.cumsum([0] + [model.triangle_count for model in models])
+
+    def joined(name: str, offsets: Sequence[int] | None = None) -> np.ndarray:
+        values = [getattr(model, name) for model in models]
+        if offsets is not None:
+            values = [(part + offset).astype(np.int32) for part, offset in zip(values, offsets, strict=False)]
+        return np.concatenate(values)
+
+    def starts(name: str) -> IntArray:
+        counts = np.concatenate([np.diff(getattr(model, name)) for model in models])
+        return np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+
+    blocks = np.cumsum([0] + [len(model.columns) for model in models])
+    parts = [
+        FabricPart(
+            model.fabric, slice(int(v), int(v) + model.vertex_count), slice(int(t), int(t) + model.triangle_count)
+        )
+        for model, v, t in zip(models, vertices[:-1], triangles[:-1], strict=True)
+    ]
+    block_keys = np.repeat(np.arange(vertices[-1]), np.diff(starts("row_start"))) * vertices[-1] + joined(
+        "columns", vertices
+    )
+    return ClothModel(
+        parts=tuple(parts),
+        rest_positions=joined("rest_positions"),
+        faces=joined("faces", vertices),
+        rest_inverse=joined("rest_inverse"),
+        rest_area=joined("rest_area"),
+        mass=joined("mass"),
+        area=joined("area"),
+        corner_start=starts("corner_start"),
+        corners=joined("corners", 3 * triangles),
+        row_start=starts("row_start"),
+        columns=joined("columns", vertices),
+        diagonal_entry=joined("diagonal_entry", blocks),
+        contribution_start=starts("contribution_start"),
+        contributions=joined("contributions", 9 * triangles),
+        bending_start=starts("bending_start"),
+        bending_columns=joined("bending_columns", vertices),
+        bending_coefficients=joined("bending_coefficients"),
+        block_bending=joined("block_bending"),
+        far_start=starts("far_start"),
+        far_columns=joined("far_columns", vertices),
+        far_coefficients=joined("far_coefficients"),
+        hinges=_join_elements([model.hinges for model in models], vertices, block_keys),
+        springs=_join_elements([model.springs for model in models], vertices, block_keys),
+    )
+
+
+def _join_elements(
+    elements: Sequence[tuple[Rest, Gathering] | None], first_vertex: IntArray, blocks: BlockKeys
+) -> tuple[Rest, Gathering] | None:
+    """Hinges or springs of several models as those of one."""
+    shifted = [
+        replace(found[0], vertices=(found[0].vertices + first).astype(np.int32))
+        for found, first in zip(elements, first_vertex, strict=False)
+        if found is not None
+    ]
+    if not shifted:
+        return None
+    rest = type(shifted[0])(
+        **{one.name: np.concatenate([getattr(part, one.name) for part in shifted]) for one in fields(shifted[0])}
+    )
+    return rest, gather(rest.vertices, int(first_vertex[-1]), blocks)
 
 
 def _in_plane(directions: FloatArray, normals: FloatArray, otherwise: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.cloth import assembly, hinges, membrane, springs, triangles
-from .cloth_model import ClothModel, FloatArray
+from .cloth_model import ClothModel, FabricPart, FloatArray
 from .elastic_elements import Gathering, HingeRest, SpringRest
 from .fabrics import Fabric
 
@@ -23,6 +23,18 @@ def membrane_of(fabric: Fabric) -> membrane.Membrane:
         material.limit = wp.vec3d(*fabric.strain_limits)
         material.growth = wp.vec3d(*fabric.growth)
     return material
+
+
+def upload_garment(model: ClothModel, pin_stiffness: FloatArray, device: Any) -> assembly.Garment:
+    """A model as kernels take it; ``pin_stiffness`` [N/m] holds each vertex to its pin target, shape [vertex_count]."""
+    garment = assembly.Garment()
+    garment.rest_inverse = wp.array(model.rest_inverse, dtype=wp.mat22d, device=device)
+    for name in ("rest_area", "mass", "area", "bending_coefficients"):
+        setattr(garment, name, wp.array(getattr(model, name), dtype=wp.float64, device=device))
+    for name in ("faces", "corner_start", "corners", "bending_start", "bending_columns"):
+        setattr(garment, name, wp.array(getattr(model, name), dtype=wp.int32, device=device))
+    garment.pin_stiffness = wp.array(pin_stiffness, dtype=wp.float64, device=device)
+    return garment
 
 
 class ElasticElements(Protocol):
@@ -67,11 +79,10 @@ class Elasticity:
         self.deformation, self.stress = array(membrane.mat32d), array(wp.vec3d)
         self.tangent, self.held = array(wp.vec4d), array(wp.vec3d)
         self._triangle_energy = array(wp.float64)
-        self._damping = triangles.Damping()
-        self._damping.viscosity = wp.vec4d(*model.fabric.viscosity)
-        self._damps = model.fabric.damping > 0.0
-        if self._damps:
-            self._damping.before = array(wp.vec3d)
+        self._damps = any(part.fabric.damping > 0.0 for part in model.parts)
+        self._before = array(wp.vec3d) if self._damps else None
+        self._rate = wp.zeros(1, dtype=wp.float64, device=self._device)
+        self._parts = [self._make_part(part) for part in model.parts]
         self.elements: list[ElasticElements] = []
         if model.hinges is not None:
             self.elements.append(HingeBending(*model.hinges, world_count, self._device))
@@ -81,27 +92,33 @@ class Elasticity:
     def deform(self, positions: wp.array) -> None:
         """Find strain, stress and energy at these positions [m]."""
         g = self._garment
-        self._launch(
-            triangles.deform_triangles,
-            [positions, g.faces, g.rest_inverse, g.rest_area, g.membrane, self._damping],
-            [self.deformation, self.stress, self._triangle_energy],
-        )
+        for where, material, damping in self._parts:
+            rest = [g.faces[where], g.rest_inverse[where], g.rest_area[where]]
+            found = [self.deformation, self.stress, self._triangle_energy]
+            self._launch(triangles.deform_triangles, where, [positions, *rest, material, damping], found)
         for elements in self.elements:
             elements.deform(positions)
 
     @contextmanager
     def damped(self, positions: wp.array, dt: float) -> Iterator[None]:
         """Damp what goes on here, as a time step of ``dt`` [s] from these positions [m]."""
-        if not self._damps:
-            yield
-            return
-        self.deform(positions)
-        self._launch(triangles.strain_triangles, [self.deformation], [self._damping.before])
-        self._damping.rate = 1.0 / dt
+        self.remember_strain(positions)
+        self.set_damping_rate(1.0 / dt)
         try:
             yield
         finally:
-            self._damping.rate = 0.0
+            self.set_damping_rate(0.0)
+
+    def remember_strain(self, positions: wp.array) -> None:
+        """Take the strain at these positions [m] for the one that a time step begins with."""
+        if self._before is not None:
+            self.deform(positions)
+            self._launch(triangles.strain_triangles, slice(0, self.stress.shape[1]), [self.deformation], [self._before])
+
+    def set_damping_rate(self, rate: float) -> None:
+        """1 / the length of the time step [1/s] that damping acts in; 0 for none."""
+        if self._damps:
+            self._rate.fill_(rate)
 
     def energy(self) -> FloatArray:
         """Energy as it was found last [J], shape [world_count]; within a step what it dissipates is part of it."""
@@ -115,14 +132,22 @@ class Elasticity:
 
         ``kept`` is the share of its compressive stress that each world takes into account, shape [world_count].
         """
-        self._launch(
-            triangles.linearise_triangles,
-            [self.deformation, self.stress, self._garment.membrane, self._damping, kept],
-            [self.tangent, self.held],
-        )
+        for where, material, damping in self._parts:
+            strained = [self.deformation[:, where], self.stress[:, where]]
+            found = [self.tangent, self.held]
+            self._launch(triangles.linearise_triangles, where, [*strained, material, damping, kept], found)
 
-    def _launch(self, kernel: Any, inputs: list, outputs: list) -> None:
-        wp.launch(kernel, dim=self.stress.shape, inputs=inputs, outputs=outputs, device=self._device)
+    def _make_part(self, part: FabricPart) -> tuple[slice, membrane.Membrane, triangles.Damping]:
+        """Triangles of one fabric, their membrane and their damping."""
+        damping = triangles.Damping()
+        damping.viscosity, damping.rate = wp.vec4d(*part.fabric.viscosity), self._rate
+        if self._before is not None:
+            damping.before = self._before[:, part.triangles]
+        return part.triangles, membrane_of(part.fabric), damping
+
+    def _launch(self, kernel: Any, where: slice, inputs: list, outputs: list) -> None:
+        dim = (self.stress.shape[0], where.stop - where.start)
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=[found[:, where] for found in outputs], device=self._device)
 
 
 class _Gathered:

@@ -37,6 +37,8 @@ class BlockSystem:
         elasticity: Elasticity,
         contact: assembly.Contact,
         world_count: int,
+        *,
+        corrected: bool = True,
     ):
         device = contact.face.device
         vertex_count = model.vertex_count
@@ -69,7 +71,7 @@ class BlockSystem:
         self.blocks = wp.zeros((world_count, len(model.columns)), dtype=wp.mat33, device=device)
         self._diagonal = wp.zeros(self.shape, dtype=wp.mat33, device=device)
         self._inverse = wp.zeros(self.shape, dtype=wp.mat33, device=device)
-        self._correction = CoarseCorrection(model, self._far_coefficients, world_count)
+        self._correction = CoarseCorrection(model, self._far_coefficients, world_count) if corrected else None
         self._hold_pairs()
         self.solution, self._residual, self._direction = vectors(), vectors(), vectors()
         self._preconditioned, self._product = vectors(), vectors()
@@ -131,7 +133,8 @@ class BlockSystem:
             outputs=[self._diagonal, self._inverse],
             device=self._device,
         )
-        self._correction.assemble(positions, self.blocks, self._diagonal)
+        if self._correction is not None:
+            self._correction.assemble(positions, self.blocks, self._diagonal)
 
     def solve(self, gradient: wp.array, moving: wp.array, tolerance: float, max_iterations: int) -> int:
         """Solve H step = -gradient from zero; returns the largest number of iterations that a world took.
@@ -144,23 +147,7 @@ class BlockSystem:
             tolerance: Share of the first preconditioned residual norm at which a world stops.
             max_iterations: Bound on the iterations, rounded up to the recorded chunk.
         """
-        wp.launch(
-            linear.start,
-            dim=self.shape,
-            inputs=[gradient, self._inverse],
-            outputs=[self.solution, self._residual, self._preconditioned],
-            device=self._device,
-        )
-        self._correction.add(self._residual, self._preconditioned)
-        wp.copy(self._direction, self._preconditioned)
-        self._dot(self._residual, self._preconditioned)
-        wp.launch(
-            linear.start_scalars,
-            dim=self.shape[0],
-            inputs=[self._partial, moving],
-            outputs=[self._energy, self.first_energy, self._active, self._iterations],
-            device=self._device,
-        )
+        self._begin(gradient, moving)
         graph = self._recording(tolerance)
         for _ in range(0, max_iterations, RECORDED_ITERATIONS):
             wp.capture_launch(graph)
@@ -168,7 +155,17 @@ class BlockSystem:
                 break
         return int(self._iterations.numpy().max())
 
-    def multiply(self, direction: wp.array, product: wp.array) -> None:
+    def launch_solve(self, gradient: wp.array, moving: wp.array, tolerance: float, iterations: int) -> None:
+        """:meth:`solve` without a look at what it found, for a caller that records its launches."""
+        self._begin(gradient, moving)
+        for _ in range(iterations):
+            self._iterate(tolerance)
+
+    def hold_vertices(self, held: wp.array) -> None:
+        """Let vertices whose entry is not 0 keep still in the next solve; after :meth:`precondition`, one world."""
+        wp.launch(linear.hold_vertices, dim=self.shape, inputs=[held, self._inverse], device=self._device)
+
+    def _multiply(self, direction: wp.array, product: wp.array) -> None:
         """``product`` = H ``direction``."""
         launch = _launcher(self._device)
         launch(
@@ -190,6 +187,7 @@ class BlockSystem:
                 self._far_coefficients,
                 self._contact,
                 self._pair_force,
+                self._active,
             ],
             [product],
         )
@@ -220,6 +218,24 @@ class BlockSystem:
         self._pair_force = wp.zeros(capacity, dtype=wp.vec3, device=self._device)
         self._recorded: dict[float, wp.Graph] = {}  # Recordings keep the arrays that they were made with.
 
+    def _begin(self, gradient: wp.array, moving: wp.array) -> None:
+        launch = _launcher(self._device)
+        launch(
+            linear.start,
+            self.shape,
+            [gradient, self._inverse],
+            [self.solution, self._residual, self._preconditioned],
+        )
+        self._correct()
+        wp.copy(self._direction, self._preconditioned)
+        self._dot(self._residual, self._preconditioned)
+        scalars = [self._energy, self.first_energy, self._active, self._iterations]
+        launch(linear.start_scalars, self.shape[0], [self._partial, moving], scalars)
+
+    def _correct(self) -> None:
+        if self._correction is not None:
+            self._correction.add(self._residual, self._preconditioned)
+
     def _dot(self, a: wp.array, b: wp.array) -> None:
         launch = _launcher(self._device)
         launch(linear.partial_dot, (self.shape[0], PARTS), [a, b], [self._partial])
@@ -238,7 +254,7 @@ class BlockSystem:
     def _iterate(self, tolerance: float) -> None:
         launch = _launcher(self._device)
         worlds = self.shape[0]
-        self.multiply(self._direction, self._product)
+        self._multiply(self._direction, self._product)
         self._dot(self._direction, self._product)
         scalars = [self._partial, self._energy, self._iterations, self._active]
         launch(linear.step_length, worlds, scalars, [self._alpha])
@@ -248,7 +264,7 @@ class BlockSystem:
             [self._alpha, self._direction, self._product, self._inverse, self.solution, self._residual],
             [self._preconditioned],
         )
-        self._correction.add(self._residual, self._preconditioned)
+        self._correct()
         self._dot(self._residual, self._preconditioned)
         launch(
             linear.next_scalars,

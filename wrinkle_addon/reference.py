@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from .bake import BakeSettings, BodySource, Wearer
 from .cloth import STANDARD_GRAVITY
 from .garment import Body, Garment
 from .rig import FloatArray, Pose, Rig, pose_between
+from .wearer import BakeSettings, BodySource, Wearer
 
 
 @dataclass(frozen=True, eq=False)

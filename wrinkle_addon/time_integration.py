@@ -48,6 +48,29 @@ class StepInertia:
         return (positions + self.past) / self.span
 
 
+@dataclass(frozen=True)
+class StepCoefficients:
+    """What a step of length h takes of the past: y' = (y + now y_n + before y_n-1) / span.
+
+    Attributes:
+        span: Length of the backward Euler step with as much inertia [s].
+        now, before: Factors of the state at the step's beginning and one step earlier.
+    """
+
+    span: float
+    now: float
+    before: float
+
+
+def step_coefficients(dt: float, earlier: float | None) -> StepCoefficients:
+    """Of a step of ``dt`` [s] after one of ``earlier`` [s]: second order, or first order without an earlier one."""
+    if earlier is None:
+        return StepCoefficients(dt, -1.0, 0.0)
+    ratio = dt / earlier
+    newest = (1.0 + 2.0 * ratio) / (1.0 + ratio)
+    return StepCoefficients(dt / newest, -(1.0 + ratio) / newest, ratio**2 / (1.0 + ratio) / newest)
+
+
 def step_inertia(
     positions: FloatArray, velocities: FloatArray, dt: float, earlier: EarlierStep | None = None
 ) -> StepInertia:
@@ -57,10 +80,7 @@ def step_inertia(
     """
     if earlier is None:
         return StepInertia(positions + dt * velocities, dt, -positions)
-    ratio = dt / earlier.dt
-    newest = (1.0 + 2.0 * ratio) / (1.0 + ratio)
-    span = dt / newest
-    now, before = -(1.0 + ratio) / newest, ratio**2 / (1.0 + ratio) / newest
-    past = now * positions + before * earlier.positions
-    past_velocities = now * velocities + before * earlier.velocities
-    return StepInertia(-past - span * past_velocities, span, past)
+    c = step_coefficients(dt, earlier.dt)
+    past = c.now * positions + c.before * earlier.positions
+    past_velocities = c.now * velocities + c.before * earlier.velocities
+    return StepInertia(-past - c.span * past_velocities, c.span, past)

@@ -11,7 +11,7 @@ from .bending import bending_gradient
 from .contact import contact_curvature, contact_energy, contact_force
 from .contact_planes import PLANES
 from .friction import friction_energy, friction_hessian, friction_slope, tangential
-from .membrane import Membrane, mat32d, membrane_gradient, membrane_hessian, shape_gradient
+from .membrane import mat32d, membrane_gradient, membrane_hessian, shape_gradient
 from .self_contact import pair_separation
 
 wp.set_module_options({"enable_backward": False})
@@ -19,12 +19,11 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Garment:
-    """What never changes: topology, rest state and material. See ``wrinkle_addon/cloth_model.py``."""
+    """What never changes: topology and rest state. See ``wrinkle_addon/cloth_model.py``."""
 
     faces: wp.array2d[wp.int32]
     rest_inverse: wp.array[wp.mat22d]
     rest_area: wp.array[wp.float64]
-    membrane: Membrane
     mass: wp.array[wp.float64]
     area: wp.array[wp.float64]
     corner_start: wp.array[wp.int32]

@@ -7,8 +7,8 @@ of the body does not tear the rest of the garment.
 
 import warp as wp
 
-from .body_surface import face_direction, plane_weights, triangle_point
-from .contact_planes import PLANES
+from .body_surface import BodySurface, face_direction, plane_weights, triangle_point
+from .contact_planes import PLANES, ContactPlanes
 
 wp.set_module_options({"enable_backward": False})
 
@@ -44,10 +44,27 @@ def contact_curvature(gap: wp.float64, thickness: wp.float64, strength: wp.float
     return wp.float64(2.0) * strength * press / (thickness * thickness)
 
 
+@wp.struct
+class ContactLaw:
+    """How hard a contact pushes and how much of that friction holds; see ``wrinkle_addon/cloth_contact.py``.
+
+    Attributes:
+        thickness, depth, slip: Lengths [m].
+        pressure: At the body's surface [Pa].
+        friction, holding: Coefficients of a vertex that slips and of one that sticks.
+    """
+
+    thickness: wp.float64
+    depth: wp.float64
+    slip: wp.float64
+    pressure: wp.float64
+    friction: wp.float64
+    holding: wp.float64
+
+
 @wp.func
 def anchor_alignment(
-    body_points: wp.array2d[wp.vec3],
-    body_faces: wp.array2d[wp.int32],
+    body: BodySurface,
     world: wp.int32,
     anchor_face: wp.int32,
     plane_face: wp.int32,
@@ -56,13 +73,12 @@ def anchor_alignment(
     """How well an anchor's triangle faces along a plane's normal; 0 where one of them is missing."""
     if anchor_face < 0 or plane_face < 0:
         return wp.float32(0.0)
-    return wp.dot(face_direction(body_points, body_faces, world, anchor_face), wp.vec3(normal))
+    return wp.dot(face_direction(body.points, body.faces, world, anchor_face), wp.vec3(normal))
 
 
 @wp.func
 def anchor_weights_on(
-    body_points: wp.array2d[wp.vec3],
-    body_faces: wp.array2d[wp.int32],
+    body: BodySurface,
     world: wp.int32,
     face: wp.int32,
     anchor: wp.vec3d,
@@ -72,14 +88,14 @@ def anchor_weights_on(
 
     The triangle may lie askew to the contact's plane; this way friction sees the anchor in the same place again.
     """
-    a = body_points[world, body_faces[face, 0]]
-    facing = wp.vec3d(face_direction(body_points, body_faces, world, face))
+    a = body.points[world, body.faces[face, 0]]
+    facing = wp.vec3d(face_direction(body.points, body.faces, world, face))
     onto = wp.dot(wp.vec3d(a) - anchor, facing) / wp.max(wp.dot(normal, facing), wp.float64(0.1))
     return plane_weights(
         wp.vec3(anchor + normal * onto),
         a,
-        body_points[world, body_faces[face, 1]],
-        body_points[world, body_faces[face, 2]],
+        body.points[world, body.faces[face, 1]],
+        body.points[world, body.faces[face, 2]],
     )
 
 
@@ -87,18 +103,9 @@ def anchor_weights_on(
 def update_anchors(
     positions: wp.array2d[wp.vec3d],
     area: wp.array[wp.float64],
-    body_points: wp.array2d[wp.vec3],
-    body_faces: wp.array2d[wp.int32],
-    face: wp.array2d[wp.int32],
-    weights: wp.array2d[wp.vec3],
-    point: wp.array2d[wp.vec3d],
-    normal: wp.array2d[wp.vec3d],
-    thickness: wp.float64,
-    pressure: wp.float64,
-    depth: wp.float64,
-    friction: wp.float64,
-    holding: wp.float64,
-    slip: wp.float64,
+    body: BodySurface,
+    planes: ContactPlanes,
+    law: ContactLaw,
     following: wp.array[wp.int32],
     # in and out
     anchor_face: wp.array2d[wp.int32],
@@ -121,11 +128,9 @@ def update_anchors(
     crossed = wp.float32(0.0)
     for k in range(PLANES):
         held = anchor_face[world, first + k]
-        straight += anchor_alignment(
-            body_points, body_faces, world, held, face[world, first + k], normal[world, first + k]
-        )
+        straight += anchor_alignment(body, world, held, planes.face[world, first + k], planes.normal[world, first + k])
         crossed += anchor_alignment(
-            body_points, body_faces, world, held, face[world, first + 1 - k], normal[world, first + 1 - k]
+            body, world, held, planes.face[world, first + 1 - k], planes.normal[world, first + 1 - k]
         )
     turn = wp.where(crossed > straight, 1, 0)
     old_face = wp.vec2i(anchor_face[world, first + turn], anchor_face[world, first + 1 - turn])
@@ -134,35 +139,35 @@ def update_anchors(
     for k in range(PLANES):
         plane = first + k
         bound = wp.float64(0.0)
-        if face[world, plane] >= 0:
-            gap = wp.dot(x - point[world, plane], normal[world, plane])
-            bound = holding * contact_force(gap, thickness, pressure * area[vertex], depth)
+        if planes.face[world, plane] >= 0:
+            gap = wp.dot(x - planes.point[world, plane], planes.normal[world, plane])
+            bound = law.holding * contact_force(gap, law.thickness, law.pressure * area[vertex], law.depth)
         held_face = wp.int32(-1)
         held_weights = wp.vec3()
         anchor = wp.vec3d()
         if bound > wp.float64(0.0):
-            c = point[world, plane]
-            n = normal[world, plane]
-            found = face[world, plane]
+            c = planes.point[world, plane]
+            n = planes.normal[world, plane]
+            found = planes.face[world, plane]
             held_face = old_face[k]
             held_weights = old_weights[k]
             anchor = c
             if held_face < 0:
                 held_face = found
-                held_weights = weights[world, plane]
+                held_weights = planes.weights[world, plane]
             else:
-                anchor = wp.vec3d(triangle_point(body_points, body_faces, world, held_face, held_weights))
+                anchor = wp.vec3d(triangle_point(body.points, body.faces, world, held_face, held_weights))
                 drift = x - anchor
                 drift = drift - n * wp.dot(drift, n)
                 length = wp.length(drift)
-                if following[world] == 0 and length > slip:
-                    bound = bound * friction / holding
-                elif length > slip:
+                if following[world] == 0 and length > law.slip:
+                    bound = bound * law.friction / law.holding
+                elif length > law.slip:
                     # Walk from the contact point back towards the old anchor, on the plane of the contact triangle;
                     # the weights may leave the triangle by a little, which is still a point that moves with the body.
-                    anchor = c - drift * (slip * friction / (holding * length))
+                    anchor = c - drift * (law.slip * law.friction / (law.holding * length))
                     held_face = found
-                    held_weights = anchor_weights_on(body_points, body_faces, world, found, anchor, n)
+                    held_weights = anchor_weights_on(body, world, found, anchor, n)
         anchor_point[world, plane] = anchor
         friction_bound[world, plane] = bound
         if following[world] != 0:
@@ -173,11 +178,8 @@ def update_anchors(
 @wp.kernel
 def hold_anchors(
     gradient: wp.array2d[wp.vec3d],
-    body_points: wp.array2d[wp.vec3],
-    body_faces: wp.array2d[wp.int32],
-    face: wp.array2d[wp.int32],
-    point: wp.array2d[wp.vec3d],
-    normal: wp.array2d[wp.vec3d],
+    body: BodySurface,
+    planes: ContactPlanes,
     friction_bound: wp.array2d[wp.float64],
     slip: wp.float64,
     # outputs
@@ -196,25 +198,21 @@ def hold_anchors(
     for k in range(PLANES):
         plane = first + k
         if friction_bound[world, plane] > wp.float64(0.0):
-            n = normal[world, plane]
+            n = planes.normal[world, plane]
             g = gradient[world, vertex]
             # The spring's stiffness is bound / slip, and the plane's share of the load is bound / total.
             drift = (n * wp.dot(g, n) - g) * (slip / total)
             length = wp.length(drift)
             if length > slip:
                 drift = drift * (slip / length)
-            found = face[world, plane]
+            found = planes.face[world, plane]
             anchor_face[world, plane] = found
-            anchor_weights[world, plane] = anchor_weights_on(
-                body_points, body_faces, world, found, point[world, plane] - drift, n
-            )
+            anchor_weights[world, plane] = anchor_weights_on(body, world, found, planes.point[world, plane] - drift, n)
 
 
 @wp.kernel
 def expel_vertices(
-    face: wp.array2d[wp.int32],
-    point: wp.array2d[wp.vec3d],
-    normal: wp.array2d[wp.vec3d],
+    planes: ContactPlanes,
     limit: wp.float64,
     deepest: wp.float64,
     # in and out
@@ -226,24 +224,25 @@ def expel_vertices(
     """
     world, vertex = wp.tid()
     first = vertex * PLANES
-    if face[world, first] < 0:
+    if planes.face[world, first] < 0:
         return
-    n = normal[world, first]
+    n = planes.normal[world, first]
     x = positions[world, vertex]
-    gap = wp.dot(x - point[world, first], n)
+    gap = wp.dot(x - planes.point[world, first], n)
     if gap >= -limit or gap < -deepest:
         return
     x = x - n * gap
-    if face[world, first + 1] < 0 or wp.dot(x - point[world, first + 1], normal[world, first + 1]) >= wp.float64(0.0):
-        positions[world, vertex] = x
+    second = first + 1
+    if planes.face[world, second] >= 0:
+        if wp.dot(x - planes.point[world, second], planes.normal[world, second]) < wp.float64(0.0):
+            return
+    positions[world, vertex] = x
 
 
 @wp.kernel
 def measure_depth(
     positions: wp.array2d[wp.vec3d],
-    face: wp.array2d[wp.int32],
-    point: wp.array2d[wp.vec3d],
-    normal: wp.array2d[wp.vec3d],
+    planes: ContactPlanes,
     # outputs
     gap: wp.array2d[wp.float32],
 ):
@@ -251,6 +250,8 @@ def measure_depth(
     world, vertex = wp.tid()
     distance = wp.float32(1.0e6)
     first = vertex * PLANES
-    if face[world, first] >= 0:
-        distance = wp.float32(wp.dot(positions[world, vertex] - point[world, first], normal[world, first]))
+    if planes.face[world, first] >= 0:
+        distance = wp.float32(
+            wp.dot(positions[world, vertex] - planes.point[world, first], planes.normal[world, first])
+        )
     gap[world, vertex] = distance

@@ -143,6 +143,51 @@ def set_smooth_plane(
 
 
 @wp.func
+def find_skin(body: BodySurface, reach: ContactReach, world: wp.int32, p: wp.vec3, limbs: wp.int32, outward: wp.vec3):
+    """The closest skin that a vertex is worn on: triangle (-1 if there is none), barycentric coordinates, and whether
+    nearer skin was passed over."""
+    query = wp.mesh_query_point_no_sign(body.meshes[world], p, reach.radius)
+    found = wp.int32(-1)
+    w = wp.vec3()
+    passed = wp.bool(False)
+    if query.result:
+        found = query.face
+        w = wp.vec3(query.u, query.v, 1.0 - query.u - query.v)
+        facing = face_direction(body.points, body.faces, world, found)
+        passed = not is_worn(body.limb[found], limbs, facing, outward, reach.least_cosine)
+        if passed:
+            found, w = closest_worn_triangle(body, world, p, limbs, outward, reach)
+    return found, w, passed
+
+
+@wp.func
+def place_plane(
+    planes: ContactPlanes,
+    body: BodySurface,
+    world: wp.int32,
+    plane: wp.int32,
+    x: wp.vec3d,
+    found: wp.int32,
+    w: wp.vec3,
+    deepest: wp.float32,
+) -> wp.bool:
+    """The plane that skin at triangle ``found`` and coordinates w, the closest to x, holds against it; whether there is
+    one: none where x lies under it by more than minus ``deepest`` [m]."""
+    p = wp.vec3(x)
+    closest = triangle_point(body.points, body.faces, world, found, w)
+    smooth = wp.normalize(triangle_point(body.normals, body.faces, world, found, w))
+    direction = contact_normal(p, closest, smooth)
+    gap = wp.dot(p - closest, direction)
+    if gap < deepest:
+        return False
+    set_plane(planes, world, plane, found, w, closest, direction)
+    foot, v, height, turned = smooth_foot(body, world, x, found, w)
+    if foot >= 0 and height * gap >= 0.0 and wp.abs(height) <= STEEPEST * wp.abs(gap):
+        set_smooth_plane(planes, body, world, plane, x, foot, v, height, turned)
+    return True
+
+
+@wp.func
 def find_first_plane(
     planes: ContactPlanes,
     body: BodySurface,
@@ -154,31 +199,12 @@ def find_first_plane(
     outward: wp.vec3,
 ) -> wp.bool:
     """The plane at the closest skin that the vertex is worn on; whether there is one."""
-    p = wp.vec3(x)
-    query = wp.mesh_query_point_no_sign(body.meshes[world], p, reach.radius)
-    if not query.result:
+    found, w, passed = find_skin(body, reach, world, wp.vec3(x), limbs, outward)
+    if found < 0:
         return False
-    found = query.face
-    w = wp.vec3(query.u, query.v, 1.0 - query.u - query.v)
-    facing = face_direction(body.points, body.faces, world, found)
-    passed = not is_worn(body.limb[found], limbs, facing, outward, reach.least_cosine)
-    if passed:
-        found, w = closest_worn_triangle(body, world, p, limbs, outward, reach)
-        if found < 0:
-            return False
-    closest = triangle_point(body.points, body.faces, world, found, w)
-    smooth = wp.normalize(triangle_point(body.normals, body.faces, world, found, w))
-    direction = contact_normal(p, closest, smooth)
-    gap = wp.dot(p - closest, direction)
     # Worn skin far above, beyond skin that is nearer and not worn, is the other side of a limb.
-    if passed and gap < -reach.depth:
-        return False
-    plane = vertex * PLANES
-    set_plane(planes, world, plane, found, w, closest, direction)
-    foot, v, height, turned = smooth_foot(body, world, x, found, w)
-    if foot >= 0 and height * gap >= 0.0 and wp.abs(height) <= STEEPEST * wp.abs(gap):
-        set_smooth_plane(planes, body, world, plane, x, foot, v, height, turned)
-    return True
+    deepest = wp.where(passed, -reach.depth, -NOWHERE)
+    return place_plane(planes, body, world, vertex * PLANES, x, found, w, deepest)
 
 
 @wp.func

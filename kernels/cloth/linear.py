@@ -41,17 +41,28 @@ def multiply(
     far_coefficients: wp.array[wp.float32],
     contact: Contact,
     pair_force: wp.array[wp.vec3],
+    active: wp.array[wp.int32],
     # outputs
     product: wp.array2d[wp.vec3],
 ):
-    """Hessian times direction, row by row [N]."""
+    """Hessian times direction, row by row [N]; worlds that are done keep what they had."""
     world, vertex = wp.tid()
+    if active[world] == 0:
+        return
     total = wp.vec3()
     for k in range(row_start[vertex], row_start[vertex + 1]):
         total += blocks[world, k] * direction[world, columns[k]]
     for k in range(far_start[vertex], far_start[vertex + 1]):
         total += far_coefficients[k] * direction[world, far_columns[k]]
     product[world, vertex] = total + gather_pairs(pair_force, contact, world * direction.shape[1] + vertex)
+
+
+@wp.kernel
+def hold_vertices(held: wp.array[wp.int32], inverse: wp.array2d[wp.mat33]):
+    """Take vertices out of the system: a preconditioner of zero never moves them."""
+    world, vertex = wp.tid()
+    if held[vertex] != 0:
+        inverse[world, vertex] = wp.mat33()
 
 
 @wp.kernel

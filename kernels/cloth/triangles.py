@@ -19,11 +19,14 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Damping:
-    """Viscosity [N s/m], the strain at the beginning of the time step, and 1 / its length [1/s]; 0 damps nothing."""
+    """Viscosity [N s/m], the strain at the beginning of the time step, and 1 / its length [1/s]; 0 damps nothing.
+
+    The rate, of shape [1], is what a recorded step reads anew.
+    """
 
     viscosity: wp.vec4d
     before: wp.array2d[wp.vec3d]
-    rate: wp.float64
+    rate: wp.array[wp.float64]
 
 
 @wp.kernel
@@ -50,10 +53,11 @@ def deform_triangles(
     strain = green_strain(f)
     s = membrane_stress(strain, material)
     density = membrane_energy(strain, material)
-    if damping.rate > wp.float64(0.0):
+    rate = damping.rate[0]
+    if rate > wp.float64(0.0):
         change = strain - damping.before[world, triangle]
-        s += damping_stress(change, damping.viscosity, damping.rate)
-        density += damping_energy(change, damping.viscosity, damping.rate)
+        s += damping_stress(change, damping.viscosity, rate)
+        density += damping_energy(change, damping.viscosity, rate)
     deformation[world, triangle] = f
     stress[world, triangle] = s
     energy[world, triangle] = rest_area[triangle] * density
@@ -83,7 +87,7 @@ def linearise_triangles(
     """
     world, triangle = wp.tid()
     elastic = membrane_tangent(green_strain(deformation[world, triangle]), material)
-    tangent[world, triangle] = elastic + damping_tangent(damping.viscosity, damping.rate)
+    tangent[world, triangle] = elastic + damping_tangent(damping.viscosity, damping.rate[0])
     s = stress[world, triangle]
     tension = tensile_part(s)
     held[world, triangle] = tension + kept[world] * (s - tension)

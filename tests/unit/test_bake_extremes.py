@@ -12,11 +12,11 @@ from bake_outcomes import outcome_of
 from dolls import Array, Doll, tube_along
 from random_bakes import RADII, RANGES, RandomBake, kept, limb, path, with_slivers
 from skeletons import scaled
-from wrinkle_synthesis.wrinkle_addon.bake import BakeSettings
 from wrinkle_synthesis.wrinkle_addon.fabrics import Fabric, Material
 from wrinkle_synthesis.wrinkle_addon.garment import Garment, skin_garment
 from wrinkle_synthesis.wrinkle_addon.joints import find_joints, with_ranges
 from wrinkle_synthesis.wrinkle_addon.plan import JointGrid, SamplePlan
+from wrinkle_synthesis.wrinkle_addon.wearer import BakeSettings
 
 RINGS, AROUND = 31, 16
 

@@ -7,10 +7,10 @@ import json
 import bpy
 import numpy as np
 
-from ..bake import BakeSettings
 from ..fabrics import FABRICS, Fabric, find_fabric
 from ..joint_wrinkles import Formulation
 from ..rig import Joint
+from ..wearer import BakeSettings
 from . import playback
 from .coarse_layer import MESH, NONE, choose_coarse, tie_coarse
 from .node_group import add_modifier, set_mask

@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..bake import BakeJob, Wearer
+from ..bake import BakeJob
 from ..database import MANIFEST, WrinkleDatabase
 from ..evaluate import EvaluatedFrame, worst_of
 from ..evaluate import evaluate as evaluate_frames
@@ -24,6 +24,7 @@ from ..pc2 import PointCache, write_pc2
 from ..reference import SettledReference, SimulationSettings, simulate_clip
 from ..rig import FloatArray, Pose
 from ..storage import make_folder
+from ..wearer import Wearer
 from .character import SamplingStage, apply, sampling_stage
 from .clip import ClipFrame, read_clip
 from .coarse_layer import CoarseBinding

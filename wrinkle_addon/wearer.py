@@ -1,0 +1,243 @@
+"""A simulated garment on a posed body, and how it is simulated: what a bake and every reference are made with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from . import rotations
+from .cloth import STANDARD_GRAVITY, ClothSimulation, ContactSettings, SolverSettings
+from .cloth_contact import Limbs
+from .cloth_model import Fabric, build_cloth_model
+from .divergence import place_of
+from .garment import Body, Garment, bind_to_surface, find_regions
+from .joints import find_joints
+from .rig import FloatArray, Pose, Rig, pose_between
+from .surface import BodyVolume, SurfaceMeasures
+
+UNTANGLINGS = 1
+"""How often a garment that settles with its layers through each other is drawn apart."""
+
+REST_EFFORT = 4
+"""How many times as many linearisations the rest pose may take: what it lacks shows in every sample."""
+
+SLIDE = 0.08
+"""How far cloth may slide from the limb that it lies on in the rest pose onto another one [m]."""
+
+
+@dataclass(frozen=True)
+class BakeSettings:
+    """How samples are simulated.
+
+    Attributes:
+        fabric: What the garment is made of.
+        contact: How it touches the body and itself.
+        solver: Where iterations stop.
+        ease: Extra cloth around the girth and along the length, as shares (0.05 is 5 percent).
+        turn_step: Largest turn of any bone between two steps of the body [rad].
+        rest_tolerance: Residual at which the rest pose is in equilibrium, in nodal weights; what it lacks would show
+            in every sample, far from the joint that moves.
+        settle_tolerance: Residual at which a sample is in equilibrium.
+        settle_iterations: Bound on the linearisations of one equilibrium; the rest pose may take four times as many.
+        trapped: Share of the vertices that need not come to rest, caught where the body cuts into itself.
+        pin_stiffness: How hard a fully pinned vertex is held to the skin [N/m].
+    """
+
+    fabric: Fabric = field(default_factory=Fabric)
+    contact: ContactSettings = field(default_factory=ContactSettings)
+    solver: SolverSettings = field(default_factory=SolverSettings)
+    ease: tuple[float, float] = (0.0, 0.0)
+    turn_step: float = float(np.radians(3.0))
+    rest_tolerance: float = 0.05
+    settle_tolerance: float = 0.3
+    settle_iterations: int = 80
+    trapped: float = 0.005
+    pin_stiffness: float = 20.0
+
+
+class BodySource(Protocol):
+    """Whoever knows the body's shape in a pose: Blender's own evaluation, or plain skinning in tests."""
+
+    def positions(self, pose: Pose) -> FloatArray:
+        """Body vertices in rig space [m], shape [body_vertex_count, 3]."""
+        ...
+
+
+class Wearer:
+    """A simulated garment on a posed body: poses in, settled cloth out.
+
+    Keeps the last pose, so that it can carry the cloth along with the skin to the next one.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        garment: Garment,
+        body: Body,
+        bodies: BodySource,
+        settings: BakeSettings,
+        device: str = "cpu",
+    ):
+        self.rig, self.garment, self.bodies, self.settings = rig, garment, bodies, settings
+        model = build_cloth_model(
+            garment.positions,
+            garment.faces,
+            settings.fabric,
+            length_directions=limb_directions(rig, garment),
+            warp_directions=garment.warp,
+            ease=settings.ease,
+        )
+        self._pose = Pose.at_rest(rig)
+        self._surface = SurfaceMeasures(garment.faces, garment.vertex_count)
+        self._body_faces = body.faces
+        self.simulation = ClothSimulation(
+            model,
+            body.faces,
+            body.positions,
+            contact_settings=settings.contact,
+            solver_settings=settings.solver,
+            pin_stiffness=garment.pins * settings.pin_stiffness,
+            limbs=worn_limbs(rig, garment, body),
+            device=device,
+        )
+        self.simulation.set_gravity(rig.gravity * STANDARD_GRAVITY)
+
+    @property
+    def positions(self) -> FloatArray:
+        """The garment as it lies [m], shape [vertex_count, 3]."""
+        return self.simulation.positions[0]
+
+    def dress(self) -> dict[str, Any]:
+        """Put the modelled garment on in the rest pose and let it settle; reports as :meth:`settle` does."""
+        self._place(Pose.at_rest(self.rig))
+        self.simulation.start(self.garment.positions)
+        self.simulation.move_body(self.bodies.positions(self._pose))
+        return self.settle(
+            self.settings.rest_tolerance, trapped=0.0, iterations=REST_EFFORT * self.settings.settle_iterations
+        )
+
+    def begin(self, positions: FloatArray, pose: Pose) -> None:
+        """Start from a garment that lies still in this pose [m], held by friction."""
+        self._place(pose)
+        self.simulation.start(positions)
+        self.simulation.move_body(self.bodies.positions(pose))
+        self.simulation.hold()
+
+    def fractions(self, start: Pose, end: Pose) -> FloatArray:
+        """Even steps from one pose to another, none turning a bone further than the settings allow."""
+        turns = rotations.multiply(rotations.conjugate(start.turns(self.rig)), end.turns(self.rig))
+        largest = float(np.linalg.norm(rotations.to_rotvec(turns), axis=1).max())
+        count = max(1, int(np.ceil(largest / self.settings.turn_step - 1e-6)))
+        return np.arange(1, count + 1) / count
+
+    def follow(self, pose: Pose) -> None:
+        """Move the body a small step on; the garment is carried along by its skin and relaxes."""
+        carried = self._carried(pose)
+        self._place(pose)
+        self.simulation.follow(self.bodies.positions(pose), carried)
+
+    def step(self, pose: Pose, dt: float) -> None:
+        """Move the body on in time; the garment keeps its momentum."""
+        carried = self._carried(pose)
+        self._place(pose)
+        self.simulation.step(self.bodies.positions(pose), dt, guess=carried)
+
+    def _carried(self, pose: Pose) -> FloatArray:
+        """The garment moved along with its skin from the last pose to the next [m], shape [vertex_count, 3]."""
+        before = self._pose.deformations(self.rig)
+        # Each bone's own motion is blended, never the inverse of a blend, which is singular at a large twist.
+        motion = pose.deformations(self.rig) @ np.linalg.inv(before)
+        return self.garment.weights.carry(motion, self.positions)
+
+    def walk(self, pose: Pose) -> None:
+        """Move the body to a pose along every bone's arc, in small steps."""
+        start = self._pose
+        for fraction in self.fractions(start, pose):
+            self.follow(pose if fraction == 1.0 else pose_between(self.rig, start, pose, float(fraction)))
+
+    def settle(
+        self, tolerance: float | None = None, trapped: float | None = None, iterations: int | None = None
+    ) -> dict[str, Any]:
+        """Bring the garment to equilibrium; reports how close it came and how it lies.
+
+        Where it has passed through itself it is drawn apart and settles again, a few times at most.
+
+        Args:
+            tolerance: Residual to stop at, in nodal weights; left out, that of a sample.
+            trapped: Share of the vertices that need not come to rest; left out, that of a sample.
+            iterations: Bound on the linearisations; left out, that of a sample.
+        """
+        settings = self.settings
+        tolerance = settings.settle_tolerance if tolerance is None else tolerance
+        trapped = settings.trapped if trapped is None else trapped
+        iterations = settings.settle_iterations if iterations is None else iterations
+        reports = [self.simulation.settle(tolerance, iterations, trapped=trapped)]
+        while len(reports) <= UNTANGLINGS and self.simulation.untangle():
+            reports.append(self.simulation.settle(tolerance, iterations, trapped=trapped))
+        return {
+            "residual": round(reports[-1].residual, 4),
+            "whole_residual": round(reports[-1].whole_residual, 4),
+            "converged": reports[-1].converged,
+            "iterations": sum(report.iterations for report in reports),
+            "linear_iterations": sum(report.linear_iterations for report in reports),
+            "untanglings": len(reports) - 1,
+            **({} if reports[-1].converged else {"restless": self._restless()}),
+            **self.lie(),
+        }
+
+    def _restless(self) -> str:
+        """Where the largest force is left."""
+        force = np.linalg.norm(self.simulation.residual()[0], axis=1)
+        return place_of(self.rig, self.garment, int(force.argmax()))
+
+    def lie(self) -> dict[str, Any]:
+        """How the garment lies: vertices more than 1 mm inside the body, the deepest [mm], pairs of its triangles that
+        intersect. Those where the body cuts into itself, so that no place is free, are counted apart ("overlap").
+        """
+        positions, limit = self.positions, 0.001
+        body = BodyVolume(self.simulation.body_positions[0], self._body_faces)
+        depth, overlap = body.depth(positions, limit)
+        pairs = self._surface.self_intersections(positions)
+        _, between = body.depth(positions[self.garment.faces[pairs]].mean((1, 2)), limit)
+        return {
+            "inside": int((depth > limit)[~overlap].sum()),
+            "inside_overlap": int((depth > limit)[overlap].sum()),
+            "deepest_mm": round(float(depth[~overlap].max(initial=0.0) * 1e3), 3),
+            "self_intersections": int((~between).sum()),
+            "self_intersections_overlap": int(between.sum()),
+        }
+
+    def _place(self, pose: Pose) -> None:
+        """Turn what goes with the skin: the outward directions and the pins."""
+        self._pose = pose
+        turns = self.garment.weights.turn(pose.turns(self.rig))
+        self.simulation.set_outward(rotations.rotate(turns, self.garment.normals))
+        self.simulation.place_pins(self.garment.weights.carry(pose.deformations(self.rig), self.garment.positions))
+
+
+def worn_limbs(rig: Rig, garment: Garment, body: Body) -> Limbs:
+    """The limb that each body triangle belongs to, and those that each garment vertex is worn on: its own, and any that
+    lies within a slide's reach of it.
+
+    Limbs are what the joints of the skeleton divide, whichever of them are sampled.
+    """
+    regions = find_regions(rig, find_joints(rig).found, garment.weights)
+    count = len(regions.segments)
+    of_bone = np.eye(count)[regions.bone_segment]
+    of_triangles = (body.weights @ of_bone)[body.faces].sum(1).argmax(1)
+    worn = np.eye(count, dtype=bool)[regions.vertex_segment]
+    for limb in range(count):
+        triangles = body.faces[of_triangles == limb]
+        if len(triangles):
+            distance = np.abs(bind_to_surface(garment.positions, body.positions, triangles).distance)
+            worn[:, limb] |= distance < SLIDE
+    return Limbs(of_triangles.astype(np.int32), (worn @ (1 << np.arange(count))).astype(np.int32))
+
+
+def limb_directions(rig: Rig, garment: Garment) -> FloatArray:
+    """Direction along the limb under each triangle, from its bones, unit vectors, shape [triangle_count, 3]."""
+    directions = garment.weights.blend(rig.rest[:, :3, 1])
+    faces = directions[garment.faces].sum(1)
+    return faces / np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-9)
