@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..kernels.cloth import assembly, body_surface, contact, contact_planes, self_contact
 from .cloth_model import ClothModel, FloatArray, IntArray
+from .fabrics import Fabric
 from .topology import group, mesh_edges, triangles_beside
 from .verlet_lists import VerletLists
 
@@ -58,6 +59,54 @@ class Limbs:
 
     of_triangles: IntArray
     of_vertices: IntArray
+
+
+def make_body(faces: IntArray, positions: FloatArray, device: Any) -> tuple[body_surface.BodySurface, list[wp.Mesh]]:
+    """The bodies of all worlds as kernels take them, [world_count, body_vertex_count, 3], and their trees of boxes."""
+    body = body_surface.BodySurface()
+    body.faces = wp.array(faces, dtype=wp.int32, device=device)
+    body.beside = wp.array(triangles_beside(faces), dtype=wp.int32, device=device)
+    body.points = wp.array(positions.astype(np.float32), dtype=wp.vec3, device=device)
+    body.normals = wp.zeros(body.points.shape, dtype=wp.vec3, device=device)
+    indices = body.faces.flatten()
+    meshes = [wp.Mesh(points=body.points[world], indices=indices) for world in range(len(positions))]
+    body.meshes = wp.array([mesh.id for mesh in meshes], dtype=wp.uint64, device=device)
+    return body, meshes
+
+
+def reach_of(settings: ContactSettings) -> contact_planes.ContactReach:
+    """How far contact is looked for."""
+    reach = contact_planes.ContactReach()
+    reach.radius, reach.thickness = settings.radius, settings.thickness
+    reach.depth, reach.least_cosine = settings.thickness + settings.depth, settings.least_cosine
+    return reach
+
+
+def law_of(settings: ContactSettings, fabric: Fabric) -> contact.ContactLaw:
+    """How hard contact pushes a fabric and how friction holds it."""
+    law = contact.ContactLaw()
+    for name in ("thickness", "depth", "slip", "pressure"):
+        setattr(law, name, wp.float64(getattr(settings, name)))
+    law.friction, law.holding = wp.float64(fabric.friction), wp.float64(fabric.holding_friction)
+    return law
+
+
+def make_planes(
+    settings: ContactSettings, shape: tuple[int, int], device: Any
+) -> tuple[contact_planes.ContactPlanes, assembly.Contact]:
+    """Room for contact planes, [world_count, vertex_count * PLANES], and the frozen contact that reads them."""
+
+    def zeros(dtype: Any) -> wp.array:
+        return wp.zeros(shape, dtype=dtype, device=device)
+
+    planes, c = contact_planes.ContactPlanes(), assembly.Contact()
+    planes.face, planes.weights, planes.hollow = zeros(wp.int32), zeros(wp.vec3), zeros(wp.vec3)
+    planes.point, planes.normal = zeros(wp.vec3d), zeros(wp.vec3d)
+    for name in ("thickness", "pressure", "depth", "slip", "self_thickness"):
+        setattr(c, name, wp.float64(getattr(settings, name)))
+    c.face, c.point, c.normal, c.hollow = planes.face, planes.point, planes.normal, planes.hollow
+    c.anchor, c.friction_bound = zeros(wp.vec3d), zeros(wp.float64)
+    return planes, c
 
 
 def hold_pairs(contact: assembly.Contact, capacity: int, device: Any) -> None:
@@ -243,39 +292,14 @@ class ContactSearch:
         start, corners = group(faces.ravel(), positions.shape[1])
         self._body_corner_start = wp.array(start, dtype=wp.int32, device=self._device)
         self._body_corners = wp.array(corners, dtype=wp.int32, device=self._device)
-        body = body_surface.BodySurface()
-        body.faces = wp.array(faces, dtype=wp.int32, device=self._device)
-        body.beside = wp.array(triangles_beside(faces), dtype=wp.int32, device=self._device)
-        body.points = wp.array(positions.astype(np.float32), dtype=wp.vec3, device=self._device)
-        body.normals = self._zeros(body.points.shape, wp.vec3)
-        self._body_meshes, body.meshes = self._meshes(body.points, body.faces)
-        self._body = body
+        self._body, self._body_meshes = make_body(faces, positions, self._device)
 
     def _make_planes(self) -> None:
         shape = (self._shape[0], self._shape[1] * contact_planes.PLANES)
         settings = self.settings
-        reach = contact_planes.ContactReach()
-        reach.radius, reach.thickness = settings.radius, settings.thickness
-        reach.depth, reach.least_cosine = settings.thickness + settings.depth, settings.least_cosine
-        planes = contact_planes.ContactPlanes()
-        planes.face, planes.weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)
-        planes.point, planes.normal = self._zeros(shape, wp.vec3d), self._zeros(shape, wp.vec3d)
-        planes.hollow = self._zeros(shape, wp.vec3)
-        self._body_reach, self._planes = reach, planes
-        law = contact.ContactLaw()
-        for name in ("thickness", "depth", "slip", "pressure"):
-            setattr(law, name, wp.float64(getattr(settings, name)))
-        law.friction = wp.float64(self._fabric.friction)
-        law.holding = wp.float64(self._fabric.holding_friction)
-        self._law = law
-        c = assembly.Contact()
-        c.thickness = wp.float64(settings.thickness)
-        c.pressure = wp.float64(settings.pressure)
-        c.depth = wp.float64(settings.depth)
-        c.slip = wp.float64(settings.slip)
-        c.face, c.point, c.normal, c.hollow = planes.face, planes.point, planes.normal, planes.hollow
-        c.anchor, c.friction_bound = self._zeros(shape, wp.vec3d), self._zeros(shape, wp.float64)
-        self.frozen = c
+        self._body_reach = reach_of(settings)
+        self._law = law_of(settings, self._fabric)
+        self._planes, self.frozen = make_planes(settings, shape, self._device)
         self._outward, self._none = self._zeros(self._shape, wp.vec3), self._zeros(self._shape[0], wp.int32)
         self._held_face, self._held_weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)
         self.anchor_face, self.anchor_weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)
@@ -283,7 +307,6 @@ class ContactSearch:
     def _make_pairs(self, model: ClothModel) -> None:
         worlds, vertices = self._shape
         c = self.frozen
-        c.self_thickness = wp.float64(self.settings.self_thickness)
         c.pair_total = self._zeros(1, wp.int32)
         c.incident_start, c.incident_count = (self._zeros(worlds * vertices, wp.int32) for _ in range(2))
         self._hold_pairs(worlds * vertices)
@@ -302,12 +325,6 @@ class ContactSearch:
         """Make room for this many self-contact pairs."""
         hold_pairs(self.frozen, capacity, self._device)
         self.pair_energy, self.pair_force = self._zeros(capacity, wp.float64), self._zeros(capacity, wp.vec3)
-
-    def _meshes(self, points: wp.array, faces: wp.array) -> tuple[list[wp.Mesh], wp.array]:
-        """One bounding volume tree a world over rows of ``points``."""
-        indices = wp.array(faces.numpy().ravel(), dtype=wp.int32, device=self._device)
-        meshes = [wp.Mesh(points=points[world], indices=indices) for world in range(self._shape[0])]
-        return meshes, wp.array([mesh.id for mesh in meshes], dtype=wp.uint64, device=self._device)
 
     def _zeros(self, shape: tuple[int, ...] | int, dtype: type) -> wp.array:
         return wp.zeros(shape, dtype=dtype, device=self._device)

@@ -23,7 +23,7 @@ from .elastic_elements import (
 )
 from .fabrics import Fabric
 from .plate_bending import FloatArray, bending_matrix
-from .topology import IntArray, group, inner_edges, row_starts
+from .topology import IntArray, group, inner_edges, row_starts, rows_of
 
 Rest = TypeVar("Rest", HingeRest, SpringRest)
 
@@ -192,10 +192,11 @@ def join_models(models: Sequence[ClothModel]) -> ClothModel:
     vertices = np.cumsum([0] + [model.vertex_count for model in models])
     triangles = np.cumsum([0] + [model.triangle_count for model in models])
 
-    def joined(name: str, offsets: Sequence[int] | None = None) -> np.ndarray:
+    def joined(name: str, first: np.ndarray | None = None) -> np.ndarray:
+        """The models' arrays in a row; entries that are indices count on from the first one of each model."""
         values = [getattr(model, name) for model in models]
-        if offsets is not None:
-            values = [(part + offset).astype(np.int32) for part, offset in zip(values, offsets, strict=False)]
+        if first is not None:
+            values = [(part + offset).astype(np.int32) for part, offset in zip(values, first, strict=False)]
         return np.concatenate(values)
 
     def starts(name: str) -> IntArray:
@@ -209,9 +210,7 @@ def join_models(models: Sequence[ClothModel]) -> ClothModel:
         )
         for model, v, t in zip(models, vertices[:-1], triangles[:-1], strict=True)
     ]
-    block_keys = np.repeat(np.arange(vertices[-1]), np.diff(starts("row_start"))) * vertices[-1] + joined(
-        "columns", vertices
-    )
+    block_keys = rows_of(starts("row_start")) * np.int64(vertices[-1]) + joined("columns", vertices)
     return ClothModel(
         parts=tuple(parts),
         rest_positions=joined("rest_positions"),
@@ -240,7 +239,7 @@ def join_models(models: Sequence[ClothModel]) -> ClothModel:
 
 
 def _join_elements(
-    elements: Sequence[tuple[Rest, Gathering] | None], first_vertex: IntArray, blocks: BlockKeys
+    elements: Sequence[tuple[Rest, Gathering] | None], first_vertex: np.ndarray, blocks: BlockKeys
 ) -> tuple[Rest, Gathering] | None:
     """Hinges or springs of several models as those of one."""
     shifted = [

@@ -147,7 +147,9 @@ class BlockSystem:
             tolerance: Share of the first preconditioned residual norm at which a world stops.
             max_iterations: Bound on the iterations, rounded up to the recorded chunk.
         """
-        self._begin(gradient, moving)
+        outputs = [self.solution, self._residual, self._preconditioned]
+        _launcher(self._device)(linear.start, self.shape, [gradient, self._inverse], outputs)
+        self._begin(moving)
         graph = self._recording(tolerance)
         for _ in range(0, max_iterations, RECORDED_ITERATIONS):
             wp.capture_launch(graph)
@@ -156,8 +158,14 @@ class BlockSystem:
         return int(self._iterations.numpy().max())
 
     def launch_solve(self, gradient: wp.array, moving: wp.array, tolerance: float, iterations: int) -> None:
-        """:meth:`solve` without a look at what it found, for a caller that records its launches."""
-        self._begin(gradient, moving)
+        """:meth:`solve` for a caller that records its launches: from what :attr:`solution` holds, without a look at
+        what was found."""
+        launch = _launcher(self._device)
+        self._active.fill_(1)
+        self._multiply(self.solution, self._product)
+        found = [self._residual, self._preconditioned]
+        launch(linear.start_from, self.shape, [gradient, self._inverse, self._product], found)
+        self._begin(moving)
         for _ in range(iterations):
             self._iterate(tolerance)
 
@@ -218,14 +226,9 @@ class BlockSystem:
         self._pair_force = wp.zeros(capacity, dtype=wp.vec3, device=self._device)
         self._recorded: dict[float, wp.Graph] = {}  # Recordings keep the arrays that they were made with.
 
-    def _begin(self, gradient: wp.array, moving: wp.array) -> None:
+    def _begin(self, moving: wp.array) -> None:
+        """First direction and scalars from the residual and its preconditioned self."""
         launch = _launcher(self._device)
-        launch(
-            linear.start,
-            self.shape,
-            [gradient, self._inverse],
-            [self.solution, self._residual, self._preconditioned],
-        )
         self._correct()
         wp.copy(self._direction, self._preconditioned)
         self._dot(self._residual, self._preconditioned)

@@ -84,6 +84,22 @@ def start(
 
 
 @wp.kernel
+def start_from(
+    gradient: wp.array2d[wp.vec3d],
+    inverse: wp.array2d[wp.mat33],
+    product: wp.array2d[wp.vec3],
+    # outputs
+    residual: wp.array2d[wp.vec3],
+    preconditioned: wp.array2d[wp.vec3],
+):
+    """Begin at a solution whose product with the Hessian is known: residual minus both."""
+    world, vertex = wp.tid()
+    r = -wp.vec3(gradient[world, vertex]) - product[world, vertex]
+    residual[world, vertex] = r
+    preconditioned[world, vertex] = inverse[world, vertex] * r
+
+
+@wp.kernel
 def partial_dot(
     a: wp.array2d[wp.vec3],
     b: wp.array2d[wp.vec3],

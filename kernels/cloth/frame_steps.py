@@ -1,0 +1,358 @@
+"""Time steps within a frame, all on the device: where things are in between, inertia, and what a step ends with.
+
+A frame takes a few steps. Between two frames, what is given (the body, the skinned garment) moves along the parabola
+through its last three places, so that its velocity does not jump at every frame. Numbers that differ from step to step
+lie in one small array, the clock: the launches of a step are recorded once and replayed.
+"""
+
+import warp as wp
+
+from .body_surface import closest_point_on_triangle, triangle_point
+from .contact import ContactLaw, contact_curvature
+from .contact_planes import (
+    NOWHERE,
+    PLANES,
+    BodySurface,
+    ContactPlanes,
+    ContactReach,
+    find_skin,
+    place_plane,
+)
+from .friction import tangential
+
+wp.set_module_options({"enable_backward": False})
+
+# Entries of the clock: a step's coefficients of the past (``wrinkle_addon/time_integration.py``), its length [s], and
+# the shares of the frame at which it begins and ends.
+SPAN = wp.constant(0)
+NOW = wp.constant(1)
+BEFORE = wp.constant(2)
+LENGTH = wp.constant(3)
+START = wp.constant(4)
+END = wp.constant(5)
+CLOCK_SIZE = 6
+
+# Shares of the contact's thickness: how lightly a vertex touches that is about to arrive, and how far away one that was
+# touching must be going to be to be let go.
+LIGHT_TOUCH = wp.constant(wp.float64(0.1))
+LEAVING = wp.constant(wp.float64(0.5))
+
+# Slip length [m] below which friction is a spring, in frozen contact: all there is.
+SPRING_SLIP = wp.constant(wp.float64(1.0))
+
+# Triangles that a closest point moves over at most in a step.
+WALK_STEPS = wp.constant(8)
+
+
+@wp.struct
+class Path:
+    """Where points were one frame before the last one, at the last one, and where they are at the coming one [m]."""
+
+    earlier: wp.array[wp.vec3]
+    last: wp.array[wp.vec3]
+    coming: wp.array[wp.vec3]
+
+
+@wp.func
+def path_point(path: Path, i: wp.int32, share: wp.float64) -> wp.vec3d:
+    """Where a point is [m] when this share of the frame has passed."""
+    x = wp.vec3d(path.earlier[i])
+    y = wp.vec3d(path.last[i])
+    z = wp.vec3d(path.coming[i])
+    half = wp.float64(0.5)
+    return y + share * (half * (z - x) + share * (half * (z + x) - y))
+
+
+@wp.struct
+class Motion:
+    """State of the garment, and what drives it; all of shape [1, vertex_count] or [vertex_count].
+
+    Attributes:
+        positions, velocities: Now [m], [m/s].
+        before, velocities_before: One step earlier.
+        past: What the past adds to the difference of positions at the step's end [m].
+        target: Where the garment goes if no force acts on it [m].
+        pin_target: What ``pin_stiffness`` (of the garment) pulls to [m].
+        pins: Stiffness of the artist's pins [N/m].
+        drag: Mass times the rate at which motion relative to the skin fades [kg/s].
+        held: Not 0 where a vertex rides on the skin.
+    """
+
+    positions: wp.array2d[wp.vec3d]
+    velocities: wp.array2d[wp.vec3d]
+    before: wp.array2d[wp.vec3d]
+    velocities_before: wp.array2d[wp.vec3d]
+    past: wp.array2d[wp.vec3d]
+    target: wp.array2d[wp.vec3d]
+    pin_target: wp.array2d[wp.vec3d]
+    pins: wp.array[wp.float64]
+    drag: wp.array[wp.float64]
+    held: wp.array[wp.int32]
+
+
+@wp.kernel
+def move_body(points: Path, normals: Path, clock: wp.array[wp.float64], body: BodySurface):
+    """Put the body where it is at the end of the step; its normals turn evenly from frame to frame."""
+    i = wp.tid()
+    share = clock[END]
+    body.points[0, i] = wp.vec3(path_point(points, i, share))
+    s = wp.float32(share)
+    body.normals[0, i] = wp.normalize((1.0 - s) * normals.last[i] + s * normals.coming[i])
+
+
+@wp.kernel
+def begin_step(
+    skin: Path,
+    clock: wp.array[wp.float64],
+    # in and out
+    motion: Motion,
+    pin_stiffness: wp.array[wp.float64],
+    inverse_dt2: wp.array[wp.float64],
+    first: wp.array2d[wp.vec3],
+):
+    """Inertia, pins and drag of a step, where it is linearised, and how far from there the solver begins [m].
+
+    Drag against the skin's motion and the pins are one pull to one place. Linearised is where the garment would be
+    carried by the skin: strained and pressed as it is now, so that one linearisation is stable however stiff it is
+    (Choi and Ko 2002). The solver begins with free flight. (Forces as in the last step would be nearer, but what the
+    solver has not resolved would then grow from step to step.)
+    """
+    vertex = wp.tid()
+    span = clock[SPAN]
+    x = motion.positions[0, vertex]
+    v = motion.velocities[0, vertex]
+    past = clock[NOW] * x + clock[BEFORE] * motion.before[0, vertex]
+    target = -past - span * (clock[NOW] * v + clock[BEFORE] * motion.velocities_before[0, vertex])
+    here = path_point(skin, vertex, clock[END])
+    speed = (here - path_point(skin, vertex, clock[START])) / clock[LENGTH]
+    pin = motion.pins[vertex]
+    drag = motion.drag[vertex] / span
+    motion.pin_target[0, vertex] = here
+    if drag > wp.float64(0.0):
+        motion.pin_target[0, vertex] = (pin * here + drag * (span * speed - past)) / (pin + drag)
+    pin_stiffness[vertex] = pin + drag
+    motion.before[0, vertex] = x
+    motion.velocities_before[0, vertex] = v
+    motion.past[0, vertex] = past
+    motion.target[0, vertex] = target
+    carried = x + speed * clock[LENGTH]
+    if motion.held[vertex] != 0:
+        carried = here
+    motion.positions[0, vertex] = carried
+    first[0, vertex] = wp.vec3()
+    if motion.held[vertex] == 0:
+        first[0, vertex] = wp.vec3(target - carried)
+    if vertex == 0:
+        inverse_dt2[0] = wp.float64(1.0) / (span * span)
+
+
+@wp.kernel
+def move_vertices(
+    solution: wp.array2d[wp.vec3],
+    longest: wp.float64,
+    # in and out
+    positions: wp.array2d[wp.vec3d],
+):
+    """Take the step that the linear system asks for, no vertex farther than ``longest`` [m]."""
+    vertex = wp.tid()
+    step = wp.vec3d(solution[0, vertex])
+    positions[0, vertex] = positions[0, vertex] + step * wp.min(
+        wp.float64(1.0), longest / wp.max(wp.length(step), wp.float64(1.0e-12))
+    )
+
+
+@wp.kernel
+def end_step(clock: wp.array[wp.float64], touching: wp.array[wp.int32], motion: Motion):
+    """Velocities at the end of the step.
+
+    A blow of the body makes a corner in a vertex's path. Looked back over by the second order, it would bounce off with
+    half its speed; what touches goes on as from a step of the first order.
+    """
+    vertex = wp.tid()
+    x = motion.positions[0, vertex]
+    if touching[vertex] != 0:
+        speed = (x - motion.before[0, vertex]) / clock[LENGTH]
+        motion.velocities[0, vertex] = speed
+        motion.velocities_before[0, vertex] = speed
+    else:
+        motion.velocities[0, vertex] = (x + motion.past[0, vertex]) / clock[SPAN]
+
+
+@wp.kernel
+def find_candidates(
+    positions: wp.array2d[wp.vec3d],
+    outward: wp.array2d[wp.vec3],
+    limbs: wp.array[wp.int32],
+    body: BodySurface,
+    reach: ContactReach,
+    # outputs
+    candidate: wp.array[wp.int32],
+):
+    """The body's closest triangle that each vertex can touch, -1 where there is none: once a frame (W45)."""
+    vertex = wp.tid()
+    found, _w, _passed = find_skin(body, reach, 0, wp.vec3(positions[0, vertex]), limbs[vertex], outward[0, vertex])
+    candidate[vertex] = found
+
+
+@wp.func
+def walk_to_closest(body: BodySurface, p: wp.vec3, start: wp.int32):
+    """The triangle whose closest point to p is nearest, from triangle to triangle, and that point's coordinates."""
+    face = start
+    w = wp.vec3()
+    distance = NOWHERE
+    across = start
+    for _ in range(WALK_STEPS):
+        found = closest_point_on_triangle(
+            p,
+            body.points[0, body.faces[across, 0]],
+            body.points[0, body.faces[across, 1]],
+            body.points[0, body.faces[across, 2]],
+        )
+        away = wp.length(p - triangle_point(body.points, body.faces, 0, across, found))
+        if away >= distance:
+            break
+        face = across
+        w = found
+        distance = away
+        # A point on an edge or at a corner may be nearer beyond the edge from whose opposite corner it is away.
+        least = wp.min(w)
+        if least > 0.0:
+            break
+        across = body.beside[face, wp.where(w[0] == least, 0, wp.where(w[1] == least, 1, 2))]
+        if across < 0:
+            break
+    return face, w
+
+
+@wp.kernel
+def follow_planes(
+    positions: wp.array2d[wp.vec3d],
+    body: BodySurface,
+    lift: wp.array[wp.float64],
+    # in and out
+    candidate: wp.array[wp.int32],
+    planes: ContactPlanes,
+):
+    """Contact planes of the moving body from each vertex's candidate, lifted off the skin by ``lift`` [m] (W48)."""
+    vertex = wp.tid()
+    first = vertex * PLANES
+    planes.face[0, first] = -1
+    planes.face[0, first + 1] = -1
+    if candidate[vertex] >= 0:
+        x = positions[0, vertex]
+        face, w = walk_to_closest(body, wp.vec3(x), candidate[vertex])
+        candidate[vertex] = face
+        if place_plane(planes, body, 0, first, x, face, w, -NOWHERE):
+            planes.point[0, first] = planes.point[0, first] + lift[vertex] * planes.normal[0, first]
+
+
+@wp.kernel
+def anticipate_contact(
+    positions: wp.array2d[wp.vec3d],
+    target: wp.array2d[wp.vec3d],
+    area: wp.array[wp.float64],
+    law: ContactLaw,
+    # in and out
+    planes: ContactPlanes,
+    # outputs
+    ahead: wp.array2d[wp.vec3d],
+    touching: wp.array[wp.int32],
+):
+    """Linearise contact where a vertex is going to be, not where it is: else it would meet the body only once inside.
+
+    Moves each plane to where the force's tangent is taken and tells the force by which that tangent differs at the
+    vertex itself [N]. A vertex that arrives takes it at a light touch, at which contact is stiff against all but
+    itself, and so stops on the surface within one step; one that flies away is let go. ``target`` is where it flies.
+    """
+    vertex = wp.tid()
+    plane = vertex * PLANES
+    ahead[0, vertex] = wp.vec3d()
+    touching[vertex] = 0
+    if planes.face[0, plane] < 0:
+        return
+    n = planes.normal[0, plane]
+    press = law.thickness - wp.dot(positions[0, vertex] - planes.point[0, plane], n)
+    coming = press - wp.dot(target[0, vertex] - positions[0, vertex], n)
+    touch = LIGHT_TOUCH * law.thickness
+    taken = wp.clamp(wp.max(press, coming), wp.float64(0.0), wp.clamp(press, touch, law.thickness))
+    if coming < -LEAVING * law.thickness:
+        taken = wp.float64(0.0)
+    if taken > wp.float64(0.0):
+        touching[vertex] = 1
+    gap = law.thickness - taken
+    stiffness = contact_curvature(gap, law.thickness, law.pressure * area[vertex], law.depth)
+    ahead[0, vertex] = (stiffness * (press - taken)) * n
+    planes.point[0, plane] = positions[0, vertex] - gap * n
+
+
+@wp.kernel
+def linearise_friction(
+    target: wp.array2d[wp.vec3d],
+    planes: ContactPlanes,
+    anchor: wp.array2d[wp.vec3d],
+    slip: wp.float64,
+    # in and out
+    bound: wp.array2d[wp.float64],
+):
+    """Make friction a spring to its anchor that holds its bound [N] where the vertex flies (``target`` [m]).
+
+    Within one linear system a constant force would throw back what is lighter than it. The spring's stiffness [N/m]
+    takes the bound's place, which makes it a bound over :data:`SPRING_SLIP`.
+    """
+    vertex = wp.tid()
+    plane = vertex * PLANES
+    if bound[0, plane] > wp.float64(0.0):
+        drift = tangential(target[0, vertex] - anchor[0, plane], planes.normal[0, plane])
+        bound[0, plane] = SPRING_SLIP * bound[0, plane] / wp.max(wp.length(drift), slip)
+
+
+@wp.kernel
+def add_force(force: wp.array2d[wp.vec3d], gradient: wp.array2d[wp.vec3d]):
+    """Take a force on every vertex into the gradient [N]."""
+    vertex = wp.tid()
+    gradient[0, vertex] = gradient[0, vertex] - force[0, vertex]
+
+
+@wp.kernel
+def expel_vertices(
+    planes: ContactPlanes,
+    limit: wp.float64,
+    deepest: wp.float64,
+    longest: wp.float64,
+    # in and out
+    motion: Motion,
+    # outputs
+    gap: wp.array[wp.float32],
+):
+    """Move vertices that lie deeper than ``limit`` [m], but not than ``deepest``, by at most ``longest`` towards where
+    contact holds them; how far from there they then lie [m], 1e6 where no body is near.
+
+    The past moves along: a correction of place is no velocity. What is held stays where it is and does not count.
+    """
+    vertex = wp.tid()
+    plane = vertex * PLANES
+    gap[vertex] = NOWHERE
+    if planes.face[0, plane] < 0 or motion.held[vertex] != 0:
+        return
+    n = planes.normal[0, plane]
+    height = wp.dot(motion.positions[0, vertex] - planes.point[0, plane], n)
+    if height < -limit and height > -deepest:
+        rise = wp.min(-height, longest)
+        motion.positions[0, vertex] = motion.positions[0, vertex] + rise * n
+        motion.before[0, vertex] = motion.before[0, vertex] + rise * n
+        height += rise
+    gap[vertex] = wp.float32(height)
+
+
+@wp.kernel
+def show_positions(
+    skin: Path,
+    strength: wp.array[wp.float64],
+    motion: Motion,
+    # outputs
+    shown: wp.array[wp.vec3],
+):
+    """What the frame shows [m]: each vertex as far from the skinned garment as its strength lets it."""
+    vertex = wp.tid()
+    s = strength[vertex]
+    shown[vertex] = wp.vec3(s * motion.positions[0, vertex] + (wp.float64(1.0) - s) * wp.vec3d(skin.coming[vertex]))

@@ -1,0 +1,255 @@
+"""Host side of what coarse layers touch: the body, searched once a frame, and each other (W45, W46, W48)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..kernels.cloth import assembly, body_surface, contact, frame_steps, layers
+from .cloth_contact import (
+    ContactSettings,
+    Limbs,
+    hold_pairs,
+    law_of,
+    list_incident,
+    make_body,
+    make_planes,
+    reach_of,
+)
+from .cloth_model import ClothModel, FloatArray, IntArray
+from .topology import group
+
+ALL_LIMBS = 2**31 - 1
+EXPELLED_DEPTH = 0.001
+"""A vertex that ends a step deeper than this under where contact holds it is put back there [m] ..."""
+EXPELLED_STEP = 0.01
+"""... by no more than this in a step [m]."""
+
+
+class CoarseContact:
+    """Contact planes on a moving body, their friction, and pairs between garments worn over each other.
+
+    Args:
+        model: All garments, from the innermost to the outermost.
+        settings: What all contact shares; ``self_thickness`` is the distance between garments.
+        lift: How far off the skin each vertex's contact planes lie [m], shape [vertex_count].
+        limbs: For each garment, which parts of the body it may touch; None lets it touch all.
+        body_faces, body_positions: The body, shapes [m, 3] and [n, 3] [m].
+
+    Attributes:
+        frozen: What the last search found, as the kernels read it.
+        pair_energy, pair_force: Room for the energy [J] and the force [N] of each pair.
+        anchor_face, anchor_weights: Where on the body friction holds on, shape [1, vertex_count * PLANES].
+        ahead: What the force of contact lacks at the vertices themselves [N], shape [1, vertex_count].
+        touching: Not 0 where the body touches or is about to, shape [vertex_count].
+        gap: Signed distance of every vertex to where contact holds it [m], as the last step left it; [vertex_count].
+        body: The body within the frame; ``points`` and ``normals`` are its paths from frame to frame.
+    """
+
+    def __init__(
+        self,
+        model: ClothModel,
+        settings: ContactSettings,
+        lift: FloatArray,
+        limbs: Sequence[Limbs | None],
+        body_faces: IntArray,
+        body_positions: FloatArray,
+        device: Any,
+    ):
+        self.settings = settings
+        self._device = device
+        self._model = model
+        self._count = model.vertex_count
+        self._lift = self._upload(lift, wp.float64)
+        self._faces = self._upload(model.faces, wp.int32)
+        self._area = self._upload(model.area, wp.float64)
+        self._corners = [self._upload(values, wp.int32) for values in (model.corner_start, model.corners)]
+        self.body, self._body_meshes = make_body(body_faces, body_positions[None], device)
+        body_count = len(body_positions)
+        self._body_corners = [self._upload(values, wp.int32) for values in group(body_faces.ravel(), body_count)]
+        self.points, self.normals = make_path(body_count, device), make_path(body_count, device)
+        self._make_limbs(limbs, len(body_faces))
+        self._reach = reach_of(settings)
+        shape = (1, self._count * int(frame_steps.PLANES))
+        self.planes, self.frozen = make_planes(settings, shape, device)
+        self.frozen.slip = frame_steps.SPRING_SLIP
+        self._laws = [law_of(settings, part.fabric) for part in model.parts]
+        self.anchor_face, self.anchor_weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)
+        self._candidate = self._zeros(self._count, wp.int32)
+        self._outward = self._zeros((1, self._count), wp.vec3)
+        self.gap = self._zeros(self._count, wp.float32)
+        self.ahead, self.touching = self._zeros((1, self._count), wp.vec3d), self._zeros(self._count, wp.int32)
+        self._none, self._all = self._zeros(1, wp.int32), wp.ones(1, dtype=wp.int32, device=device)
+        self._make_pairs()
+
+    def forget(self) -> None:
+        """Let go of every friction anchor."""
+        self.anchor_face.fill_(-1)
+        self.anchor_weights.zero_()
+
+    def move_body(self, positions: np.ndarray) -> None:
+        """Let the body go on to the coming frame [m], shape [body_vertex_count, 3]."""
+        advance(self.points, positions)
+        wp.copy(self.normals.earlier, self.normals.last)
+        wp.copy(self.normals.last, self.normals.coming)
+        points, normals = (path.coming.reshape(self.body.points.shape) for path in (self.points, self.normals))
+        inputs = [points, self.body.faces, *self._body_corners]
+        self._launch(body_surface.vertex_normals, points.shape, inputs, [normals])
+
+    def find(self, positions: wp.array, skin: frame_steps.Path) -> None:
+        """Look for what is near at the beginning of a frame (float64 [m], [1, vertex_count]): once for all its steps.
+
+        The skinned garment tells where each vertex's outside is.
+        """
+        wp.copy(self.body.points, self.points.last.reshape(self.body.points.shape))
+        self._body_meshes[0].refit()
+        inputs = [skin.last.reshape((1, self._count)), self._faces, *self._corners]
+        self._launch(body_surface.vertex_normals, (1, self._count), inputs, [self._outward])
+        inputs = [positions, self._outward, self._limbs, self.body, self._reach]
+        self._launch(frame_steps.find_candidates, self._count, inputs, [self._candidate])
+        if self._pair_count:
+            self._find_pairs(positions)
+
+    # What a step launches; all of it can be recorded.
+
+    def launch_move(self, clock: wp.array) -> None:
+        """Move the body to where it is at the end of the step."""
+        self._launch(frame_steps.move_body, self.points.last.shape, [self.points, self.normals, clock, self.body], [])
+
+    def launch_freeze(self, positions: wp.array, target: wp.array) -> None:
+        """Freeze planes, friction and pairs at these positions [m]; without forces the garment flies to ``target``."""
+        self._launch_planes(positions)
+        inputs = [positions, target, self._area, self._laws[0], self.planes]
+        self._launch(frame_steps.anticipate_contact, self._count, inputs, [self.ahead, self.touching])
+        self._launch_anchors(positions, self._none)
+        inputs = [target, self.planes, self.frozen.anchor, wp.float64(self.settings.slip)]
+        self._launch(frame_steps.linearise_friction, self._count, inputs, [self.frozen.friction_bound])
+        if self._pair_count:
+            c = self.frozen
+            inputs = [positions, c.pair_vertices, wp.float64(self.settings.pressure), self._pairs]
+            found = [c.pair_weights, c.pair_normal, c.pair_strength]
+            self._launch(layers.place_layer_pairs, self._pair_count, inputs, found)
+            inputs = [positions.flatten(), c]
+            self._launch(assembly.pair_forces, self._pair_count, inputs, [self.pair_energy, self.pair_force])
+
+    def launch_expel(self, motion: frame_steps.Motion) -> None:
+        """Put vertices that the body has run over back to where contact holds them."""
+        self._launch_planes(motion.positions)
+        lengths = [wp.float64(length) for length in (EXPELLED_DEPTH, self.settings.depth, EXPELLED_STEP)]
+        self._launch(frame_steps.expel_vertices, self._count, [self.planes, *lengths, motion], [self.gap])
+
+    def launch_follow(self, positions: wp.array) -> None:
+        """Let friction's anchors follow the vertices that slip."""
+        self._launch_anchors(positions, self._all)
+
+    def _launch_planes(self, positions: wp.array) -> None:
+        inputs = [positions, self.body, self._lift, self._candidate, self.planes]
+        self._launch(frame_steps.follow_planes, self._count, inputs, [])
+
+    def _launch_anchors(self, positions: wp.array, following: wp.array) -> None:
+        c, width = self.frozen, int(frame_steps.PLANES)
+        for part, law in zip(self._model.parts, self._laws, strict=True):
+            rows = slice(width * part.vertices.start, width * part.vertices.stop)
+            planes = type(self.planes)()
+            for name in ("face", "weights", "point", "normal", "hollow"):
+                setattr(planes, name, getattr(self.planes, name)[:, rows])
+            inputs = [positions[:, part.vertices], self._area[part.vertices], self.body, planes, law, following]
+            found = [values[:, rows] for values in (self.anchor_face, self.anchor_weights, c.anchor, c.friction_bound)]
+            count = part.vertices.stop - part.vertices.start
+            self._launch(contact.update_anchors, (1, count), inputs, found)
+
+    # What was found
+
+    def deepest(self) -> float:
+        """How far the deepest vertex lies under the skin [m], 0 if none does."""
+        gap = self.gap.numpy().astype(np.float64)
+        return float(np.maximum(-(gap + self._lift.numpy()), 0.0).max())
+
+    def crossed(self, positions: wp.array) -> int:
+        """How many vertices of inner garments lie outside an outer one, as :meth:`find` found them near each other."""
+        if not self._pair_count:
+            return 0
+        gap = self._zeros(self._pair_count, wp.float32)
+        inputs = [positions, self.frozen.pair_vertices, self._pairs]
+        self._launch(layers.measure_layer_gaps, self._pair_count, inputs, [gap])
+        return int((gap.numpy() < 0.0).sum())
+
+    def _find_pairs(self, positions: wp.array) -> None:
+        c = self.frozen
+        self._launch(layers.round_points, self._count, [positions], [self._points])
+        for mesh in self._layer_meshes:
+            mesh.refit()
+        inputs = [self._points, self._outward, self._faces, self._layer_ids, self._first_face, self.settings.radius]
+        self._launch(layers.find_layer_pairs, self._pair_count, inputs, [self._pairs, c.pair_vertices])
+        list_incident(c)
+
+    def _make_pairs(self) -> None:
+        c, parts = self.frozen, self._model.parts
+        inner = [
+            (np.arange(part.vertices.start, part.vertices.stop), outer)
+            for number, part in enumerate(parts)
+            for outer in range(number + 1, len(parts))
+        ]
+        vertex = np.concatenate([vertices for vertices, _ in inner] + [np.zeros(0, np.int64)]).astype(np.int32)
+        layer = np.repeat([outer for _, outer in inner], [len(vertices) for vertices, _ in inner]).astype(np.int32)
+        self._pair_count = len(vertex)
+        capacity = max(self._pair_count, 1)
+        hold_pairs(c, capacity, self._device)
+        self.pair_energy, self.pair_force = self._zeros(capacity, wp.float64), self._zeros(capacity, wp.vec3)
+        c.pair_total = wp.array([self._pair_count], dtype=wp.int32, device=self._device)
+        c.incident_start, c.incident_count = (self._zeros(self._count, wp.int32) for _ in range(2))
+        if not self._pair_count:
+            return
+        pairs = layers.LayerPairs()
+        pairs.vertex, pairs.layer = self._upload(vertex, wp.int32), self._upload(layer, wp.int32)
+        pairs.face = self._zeros(self._pair_count, wp.int32)
+        pairs.area = self._upload(self._model.area[vertex], wp.float64)
+        self._pairs = pairs
+        self._points = self._zeros((1, self._count), wp.vec3)
+        self._layer_meshes = [
+            wp.Mesh(
+                points=self._points[0][part.vertices],
+                indices=self._upload((self._model.faces[part.triangles] - part.vertices.start).ravel(), wp.int32),
+            )
+            for part in parts
+        ]
+        self._layer_ids = wp.array([mesh.id for mesh in self._layer_meshes], dtype=wp.uint64, device=self._device)
+        self._first_face = wp.array([part.triangles.start for part in parts], dtype=wp.int32, device=self._device)
+
+    def _make_limbs(self, limbs: Sequence[Limbs | None], body_triangle_count: int) -> None:
+        known = [one for one in limbs if one is not None]
+        of_triangles = known[0].of_triangles if known else np.zeros(body_triangle_count, np.int32)
+        self.body.limb = self._upload(of_triangles, wp.int32)
+        counts = [part.vertices.stop - part.vertices.start for part in self._model.parts]
+        of_vertices = [
+            np.full(count, ALL_LIMBS) if one is None else one.of_vertices
+            for one, count in zip(limbs, counts, strict=True)
+        ]
+        self._limbs = self._upload(np.concatenate(of_vertices), wp.int32)
+
+    def _upload(self, values: np.ndarray, dtype: Any) -> wp.array:
+        return wp.array(values, dtype=dtype, device=self._device)
+
+    def _zeros(self, shape: tuple[int, ...] | int, dtype: Any) -> wp.array:
+        return wp.zeros(shape, dtype=dtype, device=self._device)
+
+    def _launch(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._device)
+
+
+def make_path(count: int, device: Any) -> frame_steps.Path:
+    """Room for points that move from frame to frame."""
+    path = frame_steps.Path()
+    for name in ("earlier", "last", "coming"):
+        setattr(path, name, wp.zeros(count, dtype=wp.vec3, device=device))
+    return path
+
+
+def advance(path: frame_steps.Path, positions: np.ndarray) -> None:
+    """Let points go on to a coming frame [m], shape [point_count, 3]."""
+    wp.copy(path.earlier, path.last)
+    wp.copy(path.last, path.coming)
+    path.coming.assign(positions)
