@@ -8,7 +8,7 @@ from types import ModuleType
 import bpy
 
 from ..wrinkle_addon.blender import command, handlers, panels, preferences, properties
-from . import bake, cancel_bake, make_coarse_mesh, setup_garment, take_ranges
+from . import bake, cancel_bake, make_coarse_mesh, setup_garment, simulate_coarse, take_ranges
 
 MODULES: Sequence[ModuleType] = (
     preferences,
@@ -18,6 +18,7 @@ MODULES: Sequence[ModuleType] = (
     bake,
     cancel_bake,
     make_coarse_mesh,
+    simulate_coarse,
     panels,
     handlers,
     command,

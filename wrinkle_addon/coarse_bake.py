@@ -7,7 +7,7 @@ for step in bake_history(history, scene_frames, last=120):
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Protocol
 
@@ -65,6 +65,10 @@ class CoarseHistory:
         self.cache = cache
         self.frame: int | None = None
         self._state_type = state_type
+
+    def turn_to(self, cache: CoarseCache) -> None:
+        """Fill another cache of the same layers from its first frame on."""
+        self.cache, self.frame = cache, None
 
     def follows(self, frame: int) -> bool:
         """Whether the simulation can go to a frame at once: it is the first, or comes after one that is known whole."""
@@ -138,7 +142,7 @@ class BakedFrame:
     report: Mapping[str, Any]
 
 
-def bake_history(history: CoarseHistory, scenes: Iterable[SceneFrame], last: int) -> Iterator[BakedFrame]:
+def bake_history(history: CoarseHistory, scenes: Iterable[SceneFrame], last: int) -> Generator[BakedFrame, None, None]:
     """Fill a cache from its first frame on; frames that lie there and still have their motion are kept.
 
     Args:

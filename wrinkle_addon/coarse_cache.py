@@ -152,8 +152,7 @@ class CoarseCache:
         except (KeyError, TypeError) as error:
             raise StorageError(f"The file '{folder / MANIFEST}' is damaged; simulate again.") from error
         cache.last = cache.first - 1
-        while cache._path(cache.last + 1).exists():
-            cache.last += 1
+        cache.look()
         return cache
 
     @staticmethod
@@ -174,6 +173,11 @@ class CoarseCache:
     @cached_property
     def key(self) -> str:
         return self.spec.key(self.first)
+
+    def look(self) -> None:
+        """See how far the cache reaches by now; another process may be filling it."""
+        while self._path(self.last + 1).exists():
+            self.last += 1
 
     # --- reading --------------------------------------------------------------------------------------------------
 
@@ -212,6 +216,8 @@ class CoarseCache:
             NotSimulated: If the cache does not hold it.
             StorageError: If its file is damaged.
         """
+        if frame > self.last:
+            self.look()
         if not self.first <= frame <= self.last:
             held = f"holds frames {self.first} to {self.last}" if self.last >= self.first else "is empty"
             there = "up to" if frame > self.last else "from"

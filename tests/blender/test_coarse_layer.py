@@ -27,9 +27,10 @@ def arm(database: Path, bumps: Bumps) -> Arm:
 
 
 def make_coarse(arm: Arm, count: int = 60) -> bpy.types.Object:
-    """The sleeve's own coarse mesh, made in one click."""
+    """The sleeve's own coarse mesh, made in one click, to be followed as Blender moves it."""
     bpy.context.view_layer.objects.active = arm.sleeve
     assert bpy.ops.wrinkle.make_coarse_mesh(vertex_count=count) == {"FINISHED"}
+    arm.sleeve.wrinkles.coarse_layer = "MESH"
     bpy.context.view_layer.update()
     return arm.sleeve.wrinkles.coarse
 
@@ -238,8 +239,12 @@ def test_setup_makes_a_coarse_mesh_or_takes_one(wrinkle, arm: Arm, tmp_path: Pat
     ready = ("setup", file, "--garment", "sleeve", "--body", "body", "--subdivide", 0, "--samples", 2, "--out", out)
     outcome = wrinkle(*ready, "--coarse", "make:60", "--json")
     assert outcome.result["coarse"] == "sleeve.coarse" and outcome.result["notes"] == []
-    assert bpy.data.objects["sleeve"].wrinkles.coarse_layer == "MESH"
-    assert wrinkle("setup", out, *ready[2:], "--coarse", "sleeve.coarse", "--json").result["coarse"] == "sleeve.coarse"
+    settings = bpy.data.objects["sleeve"].wrinkles
+    assert (settings.coarse_layer, settings.coarse_cache) == ("SIMULATION", "//rig.coarse")
+    for text, layer in (("sleeve.coarse", "MESH"), ("simulate:sleeve.coarse", "SIMULATION")):
+        outcome = wrinkle("setup", out, *ready[2:], "--coarse", text, "--json")
+        assert outcome.result["coarse"] == "sleeve.coarse"
+        assert bpy.data.objects["sleeve"].wrinkles.coarse_layer == layer
     assert "no coarse mesh 'shawl'; its meshes: body, sleeve" in wrinkle(*ready, "--coarse", "shawl").complaint
     assert "make:700, not 'make:few'" in wrinkle(*ready, "--coarse", "make:few").complaint
     assert "needs from 24 to" in wrinkle(*ready, "--coarse", "make:3").complaint

@@ -16,27 +16,35 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ..aligned_wrinkles import AlignedWrinkles
+from ..coarse_cache import NotSimulated
 from ..correspondence import Correspondence, find_correspondence
 from ..database import WrinkleDatabase
 from ..joint_wrinkles import HostArray, JointEvaluator
 from ..rig import FloatArray, Pose
 from .character import MeshArrays, apply, read_mesh
+from .coarse_playing import PlayedCache, played_cache
+from .coarse_scene import SIMULATION, cache_folder
 from .node_group import add_modifier, find_modifier, get_input, set_input
 
 NONE, MESH = "NONE", "MESH"
-"""What a garment's coarse layer is: nothing but its skin, or a mesh of the scene."""
+"""What a garment's coarse layer is, besides SIMULATION: nothing but its skin, or a mesh of the scene."""
 
 
 def tie_coarse(garment: bpy.types.Object) -> None:
-    """Let Blender evaluate the coarse mesh wherever it evaluates the garment, in renders that do not show it, too."""
+    """Let Blender evaluate the coarse mesh, and the body if it is simulated, wherever it evaluates the garment.
+
+    A mesh that is hidden, from a render for example, is not evaluated else; Blender then hands out its modelled shape.
+    """
     settings = garment.wrinkles
-    wanted = settings.coarse if settings.coarse_layer != NONE else None
-    if wanted is None and find_modifier(garment) is None:
+    coarse = settings.coarse if settings.coarse_layer != NONE else None
+    body = settings.body if settings.coarse_layer == SIMULATION else None
+    if coarse is None and find_modifier(garment) is None:
         return
     modifier = add_modifier(garment)
-    if get_input(modifier, "Coarse") != wanted:
-        set_input(modifier, "Coarse", wanted)
-        garment.update_tag()
+    for name, wanted in (("Coarse", coarse), ("Body", body)):
+        if get_input(modifier, name) != wanted:
+            set_input(modifier, name, wanted)
+            garment.update_tag()
 
 
 def choose_coarse(garment: bpy.types.Object) -> None:
@@ -114,6 +122,7 @@ class CoarseLayer:
 
     Attributes:
         note: A sentence on what is doubtful; empty if nothing is.
+        follow: How much of its motion the garment takes on, as last read.
 
     Raises:
         ValueError: If the coarse mesh cannot carry the garment; one sentence that says what to do.
@@ -122,8 +131,9 @@ class CoarseLayer:
     def __init__(self, garment: bpy.types.Object, database: WrinkleDatabase, evaluator: JointEvaluator):
         match = match_coarse(garment)
         positions, faces = read_mesh(garment.data)
-        self.note = doubt_of(garment.wrinkles.coarse.name, match)
+        self.note = doubt_of(garment, match)
         self.wrinkles = AlignedWrinkles(database, evaluator, match, positions, faces)
+        self.follow = 1.0
         self._layer = HostArray((match.coarse_count,), wp.vec3, evaluator.device)
 
     @property
@@ -131,14 +141,11 @@ class CoarseLayer:
         """The coarse mesh as last read, in the garment's object space, shape [coarse_count, 3]."""
         return self._layer.host
 
-    def read(self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[bytes, float]:
-        """Read the coarse mesh in the depsgraph's frame, and how much of its motion the garment takes on.
+    def read(self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> None:
+        """Read the coarse mesh in the depsgraph's frame: as Blender moves it.
 
         Args:
             garment: The original garment object.
-
-        Returns:
-            What was read, to compare with what is read another time.
 
         Raises:
             ValueError: If it is not there, or is another mesh than it was as modelled; one sentence.
@@ -155,24 +162,48 @@ class CoarseLayer:
             )
         if not np.isfinite(positions).all():
             raise ValueError(f"The coarse mesh '{coarse.name}' has positions that are not numbers in this frame.")
-        worn = garment.evaluated_get(depsgraph)
-        place = np.array(worn.matrix_world.inverted_safe() @ evaluated.matrix_world, np.float32)
-        self._layer.host[:] = positions @ place[:3, :3].T + place[:3, 3]
+        self._place(garment.evaluated_get(depsgraph), positions, np.array(evaluated.matrix_world, np.float64))
+
+    def read_simulated(
+        self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph, simulated: PlayedCache, *, live: bool
+    ) -> None:
+        """Read the coarse mesh in the depsgraph's frame: as our own simulation moves it.
+
+        Args:
+            live: Whether a frame that lies in no cache yet may be simulated.
+
+        Raises:
+            NotSimulated: If the cache does not hold this frame of this motion; one sentence.
+        """
+        try:
+            positions = simulated.positions(garment, depsgraph)
+        except NotSimulated:
+            if not live:
+                raise
+            simulated.fill(garment, depsgraph)
+            positions = simulated.positions(garment, depsgraph)
+        from_metres = np.eye(4)
+        from_metres[:3, :3] /= depsgraph.scene.unit_settings.scale_length
+        self._place(garment.evaluated_get(depsgraph), positions, from_metres)
+
+    def _place(self, worn: bpy.types.Object, positions: NDArray[np.float32], world: FloatArray) -> None:
+        place = np.linalg.inv(np.array(worn.matrix_world, np.float64)) @ world
+        self._layer.host[:] = positions @ place[:3, :3].T.astype(np.float32) + place[:3, 3].astype(np.float32)
         self._layer.upload()
-        self._follow = worn.wrinkles.follow
-        return self.positions.tobytes(), self._follow
+        self.follow = float(worn.wrinkles.follow)
 
     def evaluate(self, pose: Pose, out: wp.array, strengths: Mapping[str, float], placement: FloatArray) -> None:
         """Synthesise the garment in line with the coarse mesh as last read; see :class:`AlignedWrinkles`."""
-        self.wrinkles.evaluate(pose, self._layer.device, out, strengths, placement, self._follow)
+        self.wrinkles.evaluate(pose, self._layer.device, out, strengths, placement, self.follow)
 
 
-def doubt_of(name: str, match: Correspondence) -> str:
-    """A sentence on vertices whose place on the coarse mesh of this name is doubtful; empty if there are none."""
+def doubt_of(garment: bpy.types.Object, match: Correspondence) -> str:
+    """A sentence on vertices whose place on the garment's coarse mesh is doubtful; empty if there are none."""
     if not len(match.doubtful):
         return ""
     return (
-        f"{len(match.doubtful)} vertices of the garment may ride on the wrong part of the coarse mesh '{name}'; "
+        f"{len(match.doubtful)} vertices of the garment may ride on the wrong part of the coarse mesh "
+        f"'{garment.wrinkles.coarse.name}'; "
         "look where its layers come close."
     )
 
@@ -207,55 +238,93 @@ class _Source:
 class CoarseBinding:
     """The coarse layer that a garment's settings name, bound anew only when they or the meshes change."""
 
-    def __init__(self):
+    def __init__(self, database: WrinkleDatabase):
+        self._database = database
         self._layer: CoarseLayer | None = None
+        self._simulated: PlayedCache | None = None
         self._failed = ""
+        self._missing = ""
         self._source: _Source | None = None
         self._fingerprint = ""
         self._doubted = False
 
     def doubt(self) -> None:
-        """Look at the meshes again: the file's data was replaced."""
+        """Look at meshes and caches again: the file's data was replaced."""
         self._doubted = True
 
     @property
     def note(self) -> str:
-        """What is doubtful about the layer, for the panel."""
-        return self._layer.note if self._layer is not None else ""
+        """What is missing or doubtful, for the panel; empty if nothing is."""
+        return self._missing or (self._layer.note if self._layer is not None else "")
 
-    def layer(
-        self, garment: bpy.types.Object, database: WrinkleDatabase, evaluator: JointEvaluator
+    def read(
+        self,
+        garment: bpy.types.Object,
+        depsgraph: bpy.types.Depsgraph,
+        evaluator: JointEvaluator,
+        *,
+        live: bool = False,
     ) -> CoarseLayer | None:
-        """The garment's coarse layer; None if it has none.
+        """The garment's coarse layer as it lies in the depsgraph's frame; None if it has none.
+
+        In a window a garment whose simulation has no such frame goes without, and ``note`` says why.
 
         Args:
-            garment: The garment object.
-            database, evaluator: What it is synthesised by, always the same.
+            garment: The original garment object.
+            evaluator: What it is synthesised by, always the same.
+            live: Whether a frame that is not simulated may be, now that the animation has come there.
 
         Raises:
-            ValueError: If it cannot be bound, told once found and then again without another try; one sentence.
+            NotSimulated: In the background, if the simulation has no such frame.
+            ValueError: If the layer cannot be bound, told once found and then again without another try; one sentence.
         """
+        self._missing = ""
         tie_coarse(garment)
         if garment.wrinkles.coarse_layer == NONE:
             self._layer, self._source, self._failed = None, None, ""
             return None
+        layer = self._bound(garment, evaluator)
+        if garment.wrinkles.coarse_layer == MESH:
+            layer.read(garment, depsgraph)
+            return layer
+        assert self._simulated is not None
+        live = live and depsgraph.mode == "VIEWPORT" and not in_background()
+        try:
+            layer.read_simulated(garment, depsgraph, self._simulated, live=live)
+        except NotSimulated as missing:
+            if in_background():
+                raise
+            self._missing = str(missing)
+            return None
+        return layer
+
+    def _bound(self, garment: bpy.types.Object, evaluator: JointEvaluator) -> CoarseLayer:
         try:
             source = _Source.of(garment)
+            simulates = garment.wrinkles.coarse_layer != MESH
+            self._simulated = played_cache(cache_folder(garment)) if simulates else None
         except ValueError:
             self._doubted = True
             raise
+        if self._doubted and self._simulated is not None:
+            self._simulated.doubt()
         changed = self._doubted and (self._failed or _fingerprint(garment) != self._fingerprint)
         if source != self._source or changed:
             self._source, self._fingerprint = source, _fingerprint(garment)
             self._layer, self._failed = None, ""
             try:
-                self._layer = CoarseLayer(garment, database, evaluator)
+                self._layer = CoarseLayer(garment, self._database, evaluator)
             except ValueError as error:
                 self._failed = str(error)
         self._doubted = False
-        if self._failed:
+        if self._layer is None:
             raise ValueError(self._failed)
         return self._layer
+
+
+def in_background() -> bool:
+    """Whether nobody looks on, so that a garment without its coarse layer must not be taken for a finished one."""
+    return bpy.app.background
 
 
 def _fingerprint(garment: bpy.types.Object) -> str:

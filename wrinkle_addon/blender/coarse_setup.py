@@ -9,7 +9,8 @@ from ..cloth_model import FloatArray
 from ..coarse_mesh import VERTEX_COUNT, CoarseMesh, make_coarse_mesh
 from ..garment import bind_to_surface
 from .character import read_mesh
-from .coarse_layer import MESH, doubt_of, match_coarse
+from .coarse_layer import doubt_of, match_coarse
+from .coarse_scene import SIMULATION
 from .setup import bind_to_armature
 
 SUFFIX = ".coarse"
@@ -18,7 +19,7 @@ LEAST_WEIGHT = 1.0e-3
 
 
 def make_coarse(garment: bpy.types.Object, vertex_count: int = VERTEX_COUNT) -> bpy.types.Object:
-    """Make a coarse mesh from a garment and choose it as its coarse layer.
+    """Make a coarse mesh from a garment and let the garment follow a simulation of it.
 
     The new object, ``GARMENT.coarse``, stands where the garment does, has its vertex groups and an Armature modifier,
     and is hidden; an earlier one is replaced.
@@ -38,12 +39,15 @@ def make_coarse(garment: bpy.types.Object, vertex_count: int = VERTEX_COUNT) -> 
     closest = bind_to_surface(made.positions, positions, faces)
     _write_groups(coarse, garment, np.take(faces, closest.faces, 0), closest.weights)
     bind_to_armature(coarse, settings.armature)
-    choose(garment, coarse)
+    choose(garment, coarse, SIMULATION)
     return coarse
 
 
-def choose(garment: bpy.types.Object, coarse: bpy.types.Object) -> str:
+def choose(garment: bpy.types.Object, coarse: bpy.types.Object, layer: str) -> str:
     """Let a garment follow a mesh of the scene.
+
+    Args:
+        layer: MESH to follow it as Blender moves it, SIMULATION to follow a simulation of it.
 
     Returns:
         A sentence on what is doubtful about it; empty if nothing is.
@@ -53,8 +57,8 @@ def choose(garment: bpy.types.Object, coarse: bpy.types.Object) -> str:
     """
     bpy.context.view_layer.update()
     settings = garment.wrinkles
-    settings.coarse, settings.coarse_layer = coarse, MESH
-    return doubt_of(coarse.name, match_coarse(garment))
+    settings.coarse, settings.coarse_layer = coarse, layer
+    return doubt_of(garment, match_coarse(garment))
 
 
 def _place_beside(garment: bpy.types.Object, made: CoarseMesh) -> bpy.types.Object:

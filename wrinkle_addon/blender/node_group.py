@@ -22,7 +22,8 @@ _INPUTS = (
     ("Mask", 1.0, "The same for each vertex: a number, or a vertex group"),
     ("Frame", NO_FRAME, "Frame that the stored positions belong to"),
 )
-_COARSE = "Coarse", "The coarse mesh: what a modifier names is evaluated with it, hidden or not"
+_OBJECTS = ("Coarse", "Body")
+"""What a modifier names is evaluated with it, wherever it is hidden; naming is all that these inputs do."""
 
 
 # --- the modifier -------------------------------------------------------------------------------------------------
@@ -125,9 +126,9 @@ def _build_group() -> bpy.types.GeometryNodeTree:
             socket.hide_in_modifier = True
         else:
             socket.min_value, socket.max_value, socket.subtype = 0.0, 1.0, "FACTOR"
-    name, description = _COARSE
-    socket = group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketObject")
-    socket.description, socket.hide_in_modifier = description, True
+    for name in _OBJECTS:
+        socket = group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketObject")
+        socket.hide_in_modifier = True
     nodes, link = group.nodes, group.links.new
     inputs = nodes.new("NodeGroupInput").outputs
     played = nodes.new("GeometryNodeInputNamedAttribute")

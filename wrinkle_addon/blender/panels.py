@@ -11,6 +11,7 @@ import numpy as np
 from . import playback
 from .bake_process import running
 from .coarse_layer import NONE
+from .coarse_scene import SIMULATION
 from .properties import OWN_FABRIC, GarmentSettings, JointSettings, active_garment
 
 
@@ -137,6 +138,12 @@ class WRINKLE_PT_coarse(WrinklePanel, bpy.types.Panel):
         if settings.coarse_layer != NONE:
             column.prop(settings, "coarse")
             column.prop(settings, "follow", text="How Far")
+        if settings.coarse_layer == SIMULATION:
+            column.separator()
+            for name in ("coarse_cache", "coarse_order", "coarse_steps", "coarse_buffer", "coarse_damping"):
+                column.prop(settings, name)
+            column.prop(settings, "coarse_pre_roll")
+            layout.operator("wrinkle.simulate_coarse", icon="PHYSICS")
 
 
 class WRINKLE_PT_bake(WrinklePanel, bpy.types.Panel):

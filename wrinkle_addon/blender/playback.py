@@ -77,7 +77,7 @@ class Player:
         device = choose_device(source.device)
         self.source = source
         self.database = WrinkleDatabase.open(Path(source.database))
-        self.coarse = CoarseBinding()
+        self.coarse = CoarseBinding(self.database)
         self.doubt()
         self.check(garment)
         make_writable(garment)
@@ -144,8 +144,8 @@ class Player:
         placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
         strengths = evaluated.wrinkles.strengths()
         frame = depsgraph.scene.frame_current_final
-        layer = self.coarse.layer(garment, self.database, self._evaluator)
-        coarse = layer.read(garment, depsgraph) if layer is not None else None
+        layer = self.coarse.read(garment, depsgraph, self._evaluator, live=not only_changes)
+        coarse = (layer.positions.tobytes(), layer.follow) if layer is not None else None
         inputs = (pose.matrices.tobytes(), placement.tobytes(), strengths, frame, coarse)
         if only_changes and inputs == self._inputs:
             return

@@ -7,12 +7,15 @@ import json
 import bpy
 import numpy as np
 
+from ..coarse_cache import SUFFIX
+from ..coarse_simulation import CoarseSettings
 from ..fabrics import FABRICS, Fabric, find_fabric
 from ..joint_wrinkles import Formulation
 from ..rig import Joint
 from ..wearer import BakeSettings
 from . import playback
 from .coarse_layer import MESH, NONE, choose_coarse, tie_coarse
+from .coarse_scene import SIMULATION
 from .node_group import add_modifier, set_mask
 from .write import show_skinned
 
@@ -27,6 +30,7 @@ PLANS = (
 COARSE_LAYERS = (
     (NONE, "None", "The garment moves as its armature does"),
     (MESH, "Mesh", "Any mesh that moves: a cloth simulation, a Surface Deform rig, a cache, a skinned mesh"),
+    (SIMULATION, "Simulation", "A simulation of the coarse mesh, from its cache"),
 )
 
 OWN_FABRIC = "OWN"
@@ -46,6 +50,8 @@ def _switched(settings: GarmentSettings, context: bpy.types.Context) -> None:
 
 
 def _layered(settings: GarmentSettings, context: bpy.types.Context) -> None:
+    if settings.coarse_layer == SIMULATION and not settings.coarse_cache and settings.armature is not None:
+        settings.coarse_cache = f"//{bpy.path.clean_name(settings.armature.name)}{SUFFIX}"
     tie_coarse(settings.id_data)
     _played_anew(settings, context)
 
@@ -186,6 +192,54 @@ class GarmentSettings(bpy.types.PropertyGroup):
     coarse_place: bpy.props.FloatVectorProperty(
         size=16, options={"HIDDEN"}, override=_OVERRIDABLE, description="The coarse mesh in the garment's space"
     )
+    coarse_cache: bpy.props.StringProperty(
+        name="Cache",
+        subtype="DIR_PATH",
+        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
+        description="Folder of the simulated frames; garments of one character that name the same one collide",
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+    coarse_order: bpy.props.IntProperty(
+        name="Layer",
+        default=0,
+        min=0,
+        description="0 is worn next to the skin, higher numbers over lower ones",
+        update=_played_anew,
+    )
+    coarse_steps: bpy.props.IntProperty(
+        name="Steps",
+        default=CoarseSettings().steps,
+        min=1,
+        soft_max=10,
+        description="Time steps a frame",
+        update=_played_anew,
+    )
+    coarse_buffer: bpy.props.FloatProperty(
+        name="Buffer",
+        default=CoarseSettings().buffer,
+        min=1e-4,
+        soft_max=0.02,
+        precision=4,
+        description="Distance from the body that leaves room for wrinkles, m",
+        update=_played_anew,
+    )
+    coarse_damping: bpy.props.FloatProperty(
+        name="Damping",
+        default=CoarseSettings().damping,
+        min=0.0,
+        soft_max=10.0,
+        description="How fast motion relative to the skinned garment fades, 1/s",
+        update=_played_anew,
+    )
+    coarse_pre_roll: bpy.props.FloatProperty(
+        name="Pre-Roll",
+        default=CoarseSettings().pre_roll,
+        min=0.0,
+        soft_max=2.0,
+        description="Time in the first pose before the motion begins, s",
+        update=_played_anew,
+    )
     follow: bpy.props.FloatProperty(
         name="Follow",
         default=1.0,
@@ -253,6 +307,16 @@ class GarmentSettings(bpy.types.PropertyGroup):
         """How samples of this garment are simulated."""
         return BakeSettings(
             fabric=self._chosen_fabric(), ease=(_decimal(self.ease_girth) / 100, _decimal(self.ease_length) / 100)
+        )
+
+    def coarse_settings(self) -> CoarseSettings:
+        """How the coarse mesh of this garment is simulated."""
+        return CoarseSettings(
+            fabric=self._chosen_fabric(),
+            steps=self.coarse_steps,
+            buffer=_decimal(self.coarse_buffer),
+            damping=_decimal(self.coarse_damping),
+            pre_roll=_decimal(self.coarse_pre_roll),
         )
 
     def _chosen_fabric(self) -> Fabric:

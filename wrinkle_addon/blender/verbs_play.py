@@ -32,6 +32,7 @@ from .files import check_output
 from .matching import check_database
 from .setup import stage_job
 from .verb_options import find_database, find_frames, find_garment, open_file, say
+from .verbs_coarse import simulate_coarse
 
 Shapes = Iterator[tuple[FloatArray, Mapping[str, Any]]]
 """The garment in rig space [m], shape [vertex_count, 3], frame by frame, and what there is to say of it."""
@@ -47,17 +48,17 @@ def synthesize(options: argparse.Namespace) -> Mapping[str, Any]:
     scale = check_database(garment, database.header)
     formulation = Formulation(options.formulation) if options.formulation else Formulation[settings.formulation]
     evaluator = JointWrinkles(database, formulation).bind(device)
-    layer = CoarseBinding().layer(garment, database, evaluator)
+    coarse = CoarseBinding(database)
     out = wp.zeros(evaluator.vertex_count, dtype=wp.vec3, device=device)
     clamped: dict[str, float] = {}
 
     def positions() -> Iterator[NDArray[np.float32]]:
         for clip in read_clip(garment, database.header.rig, frames, scale):
             # Strengths may be animated.
+            layer = coarse.read(garment, bpy.context.evaluated_depsgraph_get(), evaluator)
             if layer is None:
                 evaluator.evaluate(clip.pose, out, settings.strengths(), clip.rig_to_garment)
             else:
-                layer.read(garment, bpy.context.evaluated_depsgraph_get())
                 layer.evaluate(clip.pose, out, settings.strengths(), clip.rig_to_garment)
             for name, beyond in evaluator.clamped.items():
                 clamped[name] = max(clamped.get(name, 0.0), math.degrees(float(np.abs(beyond).max())))
@@ -70,8 +71,12 @@ def synthesize(options: argparse.Namespace) -> Mapping[str, Any]:
 
 
 def simulate(options: argparse.Namespace) -> Mapping[str, Any]:
-    if not options.fine:
-        raise ValueError("Only the full simulation is there so far; add --fine.")
+    return _simulate_fine(options) if options.fine else simulate_coarse(options)
+
+
+def _simulate_fine(options: argparse.Namespace) -> Mapping[str, Any]:
+    if options.out is None:
+        raise ValueError("Name the .pc2 file for the full simulation with --out.")
     settings = SimulationSettings(options.substeps, options.pre_roll)
     device = choose_device(options.device)
     check_output(options.out, ".pc2")

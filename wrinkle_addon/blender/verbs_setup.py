@@ -18,6 +18,8 @@ from ..database import MANIFEST, WrinkleDatabase
 from ..fabrics import find_fabric
 from ..joints import describe_joint, joints_to_json
 from .character import SamplingStage, sampling_stage
+from .coarse_layer import MESH, NONE, doubt_of, match_coarse
+from .coarse_scene import SIMULATION
 from .coarse_setup import choose, make_coarse
 from .files import check_output, save_character
 from .garment_joints import add_joint, choose_joints, remove_joint, set_range, take_named_ranges
@@ -79,8 +81,10 @@ def setup(options: argparse.Namespace) -> Mapping[str, Any]:
 def _choose_coarse(garment: bpy.types.Object, text: str) -> str:
     """Let the garment follow the mesh that is named, or one made from it; a sentence on what is doubtful."""
     name, _, count = text.partition(":")
-    if name != "make" or bpy.data.objects.get(text) is not None:
-        return choose(garment, find_object(text, "coarse mesh"))
+    if bpy.data.objects.get(text) is not None or name not in ("make", "simulate"):
+        return choose(garment, find_object(text, "coarse mesh"), MESH)
+    if name == "simulate":
+        return choose(garment, find_object(count, "coarse mesh"), SIMULATION)
     if count and not count.isdecimal():
         raise ValueError(f"A coarse mesh is made with make:COUNT, such as make:700, not '{text}'.")
     make_coarse(garment, int(count) if count else VERTEX_COUNT)
@@ -178,6 +182,8 @@ def check(options: argparse.Namespace) -> Mapping[str, Any]:
             _check_extremes(stage, job)
         notes.append(f"{len(job.plan.samples) + 1} samples of {job.garment.vertex_count} vertices would be baked.")
         notes += _database_notes(find_database(options, garment), garment, job)
+        if settings.coarse_layer != NONE and (doubt := doubt_of(garment, match_coarse(garment))):
+            notes.append(doubt)
     except ValueError as error:
         problems.append(str(error))
     return {
