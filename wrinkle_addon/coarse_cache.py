@@ -11,8 +11,8 @@ those of now. A frame depends on all frames before it, so one that has another m
 
     cache = CoarseCache.open(folder)
     cache.check(spec)                               # says what changed
-    cache.check_motion(12, motion)
-    cache.positions(12.25)["shirt"]                 # [m], between two frames for motion blur
+    cache.read_of(12, motion).positions["shirt"]    # [m]
+    cache.positions(12.25)["shirt"]                 # between two frames, for motion blur
 """
 
 from __future__ import annotations
@@ -193,21 +193,23 @@ class CoarseCache:
                 f"The coarse simulation in '{self.folder}' was made before {_listed(changes)} changed; simulate again."
             )
 
-    def check_motion(self, frame: int, motion: Motion) -> None:
-        """Refuse a frame that another motion drove.
+    def read_of(self, frame: int, motion: Motion) -> CoarseFrame:
+        """One frame, of a motion.
 
         Args:
             motion: That of now; what it leaves out is not compared.
 
         Raises:
-            NotSimulated: One sentence.
+            NotSimulated: If the cache does not hold it, or another motion drove it; one sentence.
         """
-        differing = moved(self.read(frame).motion, motion)
+        found = self.read(frame)
+        differing = moved(found.motion, motion)
         if differing:
             raise NotSimulated(
                 f"The motion changed since the coarse simulation in '{self.folder}' was made: {differing} elsewhere in "
                 f"frame {frame}; simulate again."
             )
+        return found
 
     def read(self, frame: int) -> CoarseFrame:
         """One frame.

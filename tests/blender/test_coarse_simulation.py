@@ -114,6 +114,20 @@ def test_an_earlier_first_frame_begins_anew(wrinkle, file: Path) -> None:
     assert result["simulated"] == FRAMES
 
 
+def test_a_character_that_jumps_is_settled_anew_and_that_is_said(wrinkle, arm: Arm, file: Path) -> None:
+    for ob in bpy.data.objects:
+        for frame, x in ((3, 0.0), (4, 5.0)):
+            ob.location.x = x
+            ob.keyframe_insert("location", frame=frame)
+    save(file)
+    outcome = wrinkle("simulate", file, "--json")
+    assert list(outcome.result["restarts"]) == ["4"] and "jumped at" in outcome.result["restarts"]["4"]
+    bpy.context.scene.frame_set(4)
+    assert "jumped at" in note() and note().endswith("The simulation begins anew here.")
+    bpy.context.scene.frame_set(5)
+    assert note() == ""
+
+
 def test_the_operator_bakes_and_shows_what_it_baked(arm: Arm) -> None:
     assert bpy.ops.wrinkle.simulate_coarse() == {"FINISHED"}
     for frame in (5, 2):

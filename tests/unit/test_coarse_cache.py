@@ -102,7 +102,7 @@ def test_frames_are_read_at_random_and_between_for_motion_blur(folder):
     # Single precision.
     np.testing.assert_allclose(cache.positions(7.25)["vest"], between, atol=1e-6)
     cache.check(SPEC)
-    cache.check_motion(17, scene(17).motion)
+    cache.read_of(17, scene(17).motion)
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def test_another_motion_is_simulated_again_from_where_it_differs(folder, tmp_pat
     simulate(folder, range(1, 61))
     cache = CoarseCache.open(folder)
     with pytest.raises(NotSimulated, match="the armature is elsewhere in frame 34; simulate again"):
-        cache.check_motion(34, changed(34).motion)
+        cache.read_of(34, changed(34).motion)
     _, springs, events = simulate(folder, range(1, 61), changed)
     assert [event.frame for event in events if event.moved] == [34]
     assert sum(event.kept for event in events) == 33 and springs.starts == 0
@@ -196,12 +196,12 @@ def test_another_motion_is_simulated_again_from_where_it_differs(folder, tmp_pat
 def test_what_rounding_moves_has_not_moved(folder):
     cache, _, _ = simulate(folder, range(1, 4))
     near = {name: points + np.float32(5e-5) for name, points in scene(2).motion.items()}
-    cache.check_motion(2, near)
-    cache.check_motion(2, {"body": near["body"]})
+    cache.read_of(2, near)
+    cache.read_of(2, {"body": near["body"]})
     with pytest.raises(NotSimulated, match="the body is elsewhere"):
-        cache.check_motion(2, {**near, "body": near["body"] + np.float32(1e-3)})
+        cache.read_of(2, {**near, "body": near["body"] + np.float32(1e-3)})
     with pytest.raises(NotSimulated, match="the body is elsewhere"):
-        cache.check_motion(2, {"body": np.zeros((7, 3), np.float32)})
+        cache.read_of(2, {"body": np.zeros((7, 3), np.float32)})
 
 
 @pytest.mark.parametrize(

@@ -255,7 +255,11 @@ class CoarseBinding:
     @property
     def note(self) -> str:
         """What is missing or doubtful, for the panel; empty if nothing is."""
-        return self._missing or (self._layer.note if self._layer is not None else "")
+        if self._missing or self._layer is None:
+            return self._missing
+        if self._simulated is not None and self._simulated.restarted:
+            return f"{self._simulated.restarted} The simulation begins anew here."
+        return self._layer.note
 
     def read(
         self,

@@ -41,9 +41,14 @@ def played_cache(folder: Path) -> PlayedCache:
 
 
 class PlayedCache:
-    """One cache folder as this session knows it; see :func:`played_cache`."""
+    """One cache folder as this session knows it; see :func:`played_cache`.
+
+    Attributes:
+        restarted: Why the simulation began anew in the frame that was read last, as a sentence; empty if it did not.
+    """
 
     def __init__(self, folder: Path):
+        self.restarted = ""
         self._folder = folder
         self._cache: CoarseCache | None = None
         self._history: CoarseHistory | None = None
@@ -71,9 +76,11 @@ class PlayedCache:
             self._cache.check(read_spec(garments, scene))
             self._checked = frame_rate(scene)
         time = scene.frame_current_final
-        if time == int(time):
-            self._cache.check_motion(int(time), read_motion(garment, depsgraph))
-        return self._cache.positions(time)[garment.name]
+        if time != int(time):
+            return self._cache.positions(time)[garment.name]
+        found = self._cache.read_of(int(time), read_motion(garment, depsgraph))
+        self.restarted = found.report["reason"]
+        return found.positions[garment.name]
 
     def fill(self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> None:
         """Simulate the depsgraph's frame, if it is the scene's first one or the simulation has come up to it.

@@ -178,6 +178,7 @@ class GarmentSettings(bpy.types.PropertyGroup):
         items=COARSE_LAYERS,
         default=NONE,
         description="What the garment follows where it moves as a whole",
+        options=set(),
         override=_OVERRIDABLE,
         update=_layered,
     )
@@ -205,6 +206,7 @@ class GarmentSettings(bpy.types.PropertyGroup):
         default=0,
         min=0,
         description="0 is worn next to the skin, higher numbers over lower ones",
+        options=set(),
         update=_played_anew,
     )
     coarse_steps: bpy.props.IntProperty(
@@ -213,6 +215,7 @@ class GarmentSettings(bpy.types.PropertyGroup):
         min=1,
         soft_max=10,
         description="Time steps a frame",
+        options=set(),
         update=_played_anew,
     )
     coarse_buffer: bpy.props.FloatProperty(
@@ -222,6 +225,7 @@ class GarmentSettings(bpy.types.PropertyGroup):
         soft_max=0.02,
         precision=4,
         description="Distance from the body that leaves room for wrinkles, m",
+        options=set(),
         update=_played_anew,
     )
     coarse_damping: bpy.props.FloatProperty(
@@ -230,6 +234,7 @@ class GarmentSettings(bpy.types.PropertyGroup):
         min=0.0,
         soft_max=10.0,
         description="How fast motion relative to the skinned garment fades, 1/s",
+        options=set(),
         update=_played_anew,
     )
     coarse_pre_roll: bpy.props.FloatProperty(
@@ -238,6 +243,7 @@ class GarmentSettings(bpy.types.PropertyGroup):
         min=0.0,
         soft_max=2.0,
         description="Time in the first pose before the motion begins, s",
+        options=set(),
         update=_played_anew,
     )
     follow: bpy.props.FloatProperty(

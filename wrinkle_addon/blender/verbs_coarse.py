@@ -31,6 +31,9 @@ def simulate_coarse(options: argparse.Namespace) -> Mapping[str, Any]:
     restarts = {step.frame: step.report["reason"] for step in baked if step.report["reason"]}
     text = [f"{len(baked) - kept} frames simulated, {kept} kept, in {run.folder}."]
     text += [f"Frame {frame} begins anew: {reason}" for frame, reason in restarts.items()]
+    intersected = baked[0].report["crossed"]
+    if intersected:
+        text.append(f"{intersected} vertices of inner layers lie outside an outer one from the start.")
     return {
         "frames": len(baked),
         "simulated": len(baked) - kept,
@@ -40,6 +43,7 @@ def simulate_coarse(options: argparse.Namespace) -> Mapping[str, Any]:
         "replaced": run.reason,
         "motion_changed_from": next((step.frame for step in baked if step.moved), None),
         "restarts": restarts,
+        "intersected": intersected,
         "deepest_mm": round(1e3 * max(step.report["deepest"] for step in baked), 3),
         "crossed": max(step.report["crossed"] for step in baked),
         "text": "\n".join(text),
