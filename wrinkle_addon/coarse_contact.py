@@ -22,6 +22,8 @@ from .cloth_contact import (
 from .cloth_model import ClothModel, FloatArray, IntArray
 from .topology import group
 
+NEAR = 0.02
+"""How far above where contact begins a vertex that comes nearer still looks for its plane [m]."""
 ALL_LIMBS = 2**31 - 1
 EXPELLED_DEPTH = 0.001
 """A vertex that ends a step deeper than this under where contact holds it is put back there [m] ..."""
@@ -43,6 +45,7 @@ class CoarseContact:
         frozen: What the last search found, as the kernels read it.
         pair_energy, pair_force: Room for the energy [J] and the force [N] of each pair.
         anchor_face, anchor_weights: Where on the body friction holds on, shape [1, vertex_count * PLANES].
+        candidate: Closest triangle of the body to each vertex, -1 where there is none, shape [vertex_count].
         ahead: What the force of contact lacks at the vertices themselves [N], shape [1, vertex_count].
         touching: Not 0 where the body touches or is about to, shape [vertex_count].
         gap: Signed distance of every vertex to where contact holds it [m], as the last step left it; [vertex_count].
@@ -65,7 +68,7 @@ class CoarseContact:
         self._count = model.vertex_count
         self._lift = self._upload(lift, wp.float64)
         self._faces = self._upload(model.faces, wp.int32)
-        self._area = self._upload(model.area, wp.float64)
+        self._area, self._mass = self._upload(model.area, wp.float64), self._upload(model.mass, wp.float64)
         self._corners = [self._upload(values, wp.int32) for values in (model.corner_start, model.corners)]
         self.body, self._body_meshes = make_body(body_faces, body_positions[None], device)
         body_count = len(body_positions)
@@ -78,7 +81,7 @@ class CoarseContact:
         self.frozen.slip = frame_steps.SPRING_SLIP
         self._laws = [law_of(settings, part.fabric) for part in model.parts]
         self.anchor_face, self.anchor_weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)
-        self._candidate = self._zeros(self._count, wp.int32)
+        self.candidate = self._zeros(self._count, wp.int32)
         self._outward = self._zeros((1, self._count), wp.vec3)
         self.gap = self._zeros(self._count, wp.float32)
         self.ahead, self.touching = self._zeros((1, self._count), wp.vec3d), self._zeros(self._count, wp.int32)
@@ -86,9 +89,10 @@ class CoarseContact:
         self._make_pairs()
 
     def forget(self) -> None:
-        """Let go of every friction anchor."""
+        """Let go of every friction anchor, and of what was near."""
         self.anchor_face.fill_(-1)
         self.anchor_weights.zero_()
+        self.candidate.fill_(-1)
 
     def move_body(self, positions: np.ndarray) -> None:
         """Let the body go on to the coming frame [m], shape [body_vertex_count, 3]."""
@@ -109,7 +113,7 @@ class CoarseContact:
         inputs = [skin.last.reshape((1, self._count)), self._faces, *self._corners]
         self._launch(body_surface.vertex_normals, (1, self._count), inputs, [self._outward])
         inputs = [positions, self._outward, self._limbs, self.body, self._reach]
-        self._launch(frame_steps.find_candidates, self._count, inputs, [self._candidate])
+        self._launch(frame_steps.find_candidates, self._count, inputs, [self.candidate])
         if self._pair_count:
             self._find_pairs(positions)
 
@@ -119,16 +123,16 @@ class CoarseContact:
         """Move the body to where it is at the end of the step."""
         self._launch(frame_steps.move_body, self.points.last.shape, [self.points, self.normals, clock, self.body], [])
 
-    def launch_freeze(self, positions: wp.array, target: wp.array) -> None:
+    def launch_freeze(self, positions: wp.array, target: wp.array, clock: wp.array) -> None:
         """Freeze planes, friction and pairs at these positions [m]; without forces the garment flies to ``target``."""
-        self._launch_planes(positions)
+        c = self.frozen
+        self._launch_planes(positions, target)
         inputs = [positions, target, self._area, self._laws[0], self.planes]
         self._launch(frame_steps.anticipate_contact, self._count, inputs, [self.ahead, self.touching])
         self._launch_anchors(positions, self._none)
-        inputs = [target, self.planes, self.frozen.anchor, wp.float64(self.settings.slip)]
-        self._launch(frame_steps.linearise_friction, self._count, inputs, [self.frozen.friction_bound])
+        inputs = [target, self.planes, self._mass, clock, wp.float64(self.settings.slip)]
+        self._launch(frame_steps.linearise_friction, self._count, inputs, [c.anchor, c.friction_bound])
         if self._pair_count:
-            c = self.frozen
             inputs = [positions, c.pair_vertices, wp.float64(self.settings.pressure), self._pairs]
             found = [c.pair_weights, c.pair_normal, c.pair_strength]
             self._launch(layers.place_layer_pairs, self._pair_count, inputs, found)
@@ -137,7 +141,7 @@ class CoarseContact:
 
     def launch_expel(self, motion: frame_steps.Motion) -> None:
         """Put vertices that the body has run over back to where contact holds them."""
-        self._launch_planes(motion.positions)
+        self._launch_planes(motion.positions, motion.positions)
         lengths = [wp.float64(length) for length in (EXPELLED_DEPTH, self.settings.depth, EXPELLED_STEP)]
         self._launch(frame_steps.expel_vertices, self._count, [self.planes, *lengths, motion], [self.gap])
 
@@ -145,8 +149,9 @@ class CoarseContact:
         """Let friction's anchors follow the vertices that slip."""
         self._launch_anchors(positions, self._all)
 
-    def _launch_planes(self, positions: wp.array) -> None:
-        inputs = [positions, self.body, self._lift, self._candidate, self.planes]
+    def _launch_planes(self, positions: wp.array, target: wp.array) -> None:
+        margin = wp.float64(self.settings.thickness + NEAR)
+        inputs = [positions, target, margin, self.body, self._lift, self.candidate, self.planes]
         self._launch(frame_steps.follow_planes, self._count, inputs, [])
 
     def _launch_anchors(self, positions: wp.array, following: wp.array) -> None:

@@ -103,6 +103,7 @@ class CoarseState:
     Attributes:
         positions, velocities, before, velocities_before: Of all vertices, float64, shape [1, n, 3].
         anchor_faces, anchor_weights: Where friction holds on, shape [1, 2 n] and [1, 2 n, 3].
+        candidates: What of the body is closest to each vertex, shape [n].
         body, skin: Where the body and the skinned garments were in the last two frames [m], shape [2, count, 3].
         last_step: Length of the last time step [s], 0 where the next one is a first, shape [1].
     """
@@ -113,6 +114,7 @@ class CoarseState:
     velocities_before: FloatArray
     anchor_faces: IntArray
     anchor_weights: NDArray[np.float32]
+    candidates: IntArray
     body: NDArray[np.float32]
     skin: NDArray[np.float32]
     last_step: FloatArray

@@ -141,6 +141,7 @@ class CoarseSimulation:
             **{name: getattr(motion, name).numpy().copy() for name in MOTION},
             anchor_faces=contact_.anchor_face.numpy().copy(),
             anchor_weights=contact_.anchor_weights.numpy().copy(),
+            candidates=contact_.candidate.numpy().copy(),
             body=np.stack([points.last.numpy(), points.coming.numpy()]),
             skin=np.stack([skin.last.numpy(), skin.coming.numpy()]),
             last_step=np.array([self._last_step or 0.0]),
@@ -161,6 +162,7 @@ class CoarseSimulation:
             getattr(self._motion, name).assign(getattr(state, name))
         self._contact.anchor_face.assign(state.anchor_faces)
         self._contact.anchor_weights.assign(state.anchor_weights)
+        self._contact.candidate.assign(state.candidates)
         self._last_step = float(state.last_step[0]) or None
         self._show()
 
@@ -261,14 +263,14 @@ class CoarseSimulation:
         contact_.launch_move(self._clock)
         driven = [motion, self._garment.pin_stiffness, self._inverse_dt2, self._system.solution]
         self._launch(frame_steps.begin_step, [self._skin, self._clock, *driven])
-        contact_.launch_freeze(positions, motion.target)
+        contact_.launch_freeze(positions, motion.target, self._clock)
         self._record_gradient()
         self._system.assemble(positions, self._inverse_dt2, self._kept)
         self._system.precondition(positions)
         self._system.hold_vertices(motion.held)
         self._system.launch_solve(self._gradient, self._moving, TOLERANCE, ITERATIONS)
         self._launch(frame_steps.move_vertices, [self._system.solution, wp.float64(LONGEST_STEP), positions])
-        self._launch(frame_steps.end_step, [self._clock, contact_.touching, motion])
+        self._launch(frame_steps.end_step, [self._clock, contact_.touching, contact_.planes, motion])
         contact_.launch_expel(motion)
         contact_.launch_follow(positions)
 

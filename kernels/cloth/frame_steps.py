@@ -1,13 +1,14 @@
 """Time steps within a frame, all on the device: where things are in between, inertia, and what a step ends with.
 
-A frame takes a few steps. Between two frames, what is given (the body, the skinned garment) moves along the parabola
-through its last three places, so that its velocity does not jump at every frame. Numbers that differ from step to step
+A frame takes a few steps. Between two frames, what is given (the body, the skinned garment) moves along a cubic that
+begins with its mean velocity over the frame before and this one and ends with that of this one: it jumps less than on
+a line, and does not shoot over the mark where a motion stops dead. Numbers that differ from step to step
 lie in one small array, the clock: the launches of a step are recorded once and replayed.
 """
 
 import warp as wp
 
-from .body_surface import closest_point_on_triangle, triangle_point
+from .body_surface import closest_point_on_triangle, face_direction, triangle_point
 from .contact import ContactLaw, contact_curvature
 from .contact_planes import (
     NOWHERE,
@@ -16,6 +17,7 @@ from .contact_planes import (
     ContactPlanes,
     ContactReach,
     find_skin,
+    is_worn,
     place_plane,
 )
 from .friction import tangential
@@ -40,6 +42,9 @@ LEAVING = wp.constant(wp.float64(0.5))
 # Slip length [m] below which friction is a spring, in frozen contact: all there is.
 SPRING_SLIP = wp.constant(wp.float64(1.0))
 
+# Rounding of the distance to what was closest.
+CLOSEST = wp.constant(wp.float32(1.0 + 1.0e-4))
+
 # Triangles that a closest point moves over at most in a step.
 WALK_STEPS = wp.constant(8)
 
@@ -56,11 +61,11 @@ class Path:
 @wp.func
 def path_point(path: Path, i: wp.int32, share: wp.float64) -> wp.vec3d:
     """Where a point is [m] when this share of the frame has passed."""
-    x = wp.vec3d(path.earlier[i])
-    y = wp.vec3d(path.last[i])
-    z = wp.vec3d(path.coming[i])
-    half = wp.float64(0.5)
-    return y + share * (half * (z - x) + share * (half * (z + x) - y))
+    last = wp.vec3d(path.last[i])
+    coming = wp.vec3d(path.coming[i])
+    speed = wp.float64(0.5) * (coming - wp.vec3d(path.earlier[i]))
+    gain = coming - last - speed
+    return last + share * (speed + share * (wp.float64(2.0) - share) * gain)
 
 
 @wp.struct
@@ -162,20 +167,22 @@ def move_vertices(
 
 
 @wp.kernel
-def end_step(clock: wp.array[wp.float64], touching: wp.array[wp.int32], motion: Motion):
+def end_step(clock: wp.array[wp.float64], touching: wp.array[wp.int32], planes: ContactPlanes, motion: Motion):
     """Velocities at the end of the step.
 
     A blow of the body makes a corner in a vertex's path. Looked back over by the second order, it would bounce off with
-    half its speed; what touches goes on as from a step of the first order.
+    half its speed; along the contact's normal what touches goes on as from a step of the first order.
     """
     vertex = wp.tid()
     x = motion.positions[0, vertex]
+    v = (x + motion.past[0, vertex]) / clock[SPAN]
     if touching[vertex] != 0:
-        speed = (x - motion.before[0, vertex]) / clock[LENGTH]
-        motion.velocities[0, vertex] = speed
-        motion.velocities_before[0, vertex] = speed
-    else:
-        motion.velocities[0, vertex] = (x + motion.past[0, vertex]) / clock[SPAN]
+        n = planes.normal[0, vertex * PLANES]
+        speed = wp.dot(x - motion.before[0, vertex], n) / clock[LENGTH]
+        v = v + n * (speed - wp.dot(v, n))
+        v_before = motion.velocities_before[0, vertex]
+        motion.velocities_before[0, vertex] = v_before + n * (speed - wp.dot(v_before, n))
+    motion.velocities[0, vertex] = v
 
 
 @wp.kernel
@@ -185,13 +192,39 @@ def find_candidates(
     limbs: wp.array[wp.int32],
     body: BodySurface,
     reach: ContactReach,
-    # outputs
+    # in and out
     candidate: wp.array[wp.int32],
 ):
-    """The body's closest triangle that each vertex can touch, -1 where there is none: once a frame (W45)."""
+    """The body's closest triangle that each vertex can touch, -1 where there is none: once a frame (W45).
+
+    Nothing farther away than what was closest in the frame before needs to be looked at.
+    """
     vertex = wp.tid()
-    found, _w, _passed = find_skin(body, reach, 0, wp.vec3(positions[0, vertex]), limbs[vertex], outward[0, vertex])
-    candidate[vertex] = found
+    p = wp.vec3(positions[0, vertex])
+    held = candidate[vertex]
+    near = ContactReach()
+    near.radius = reach.radius
+    near.least_cosine = reach.least_cosine
+    if held >= 0:
+        facing = face_direction(body.points, body.faces, 0, held)
+        if is_worn(body.limb[held], limbs[vertex], facing, outward[0, vertex], reach.least_cosine):
+            near.radius = wp.min(reach.radius, CLOSEST * distance_to_triangle(body, p, held))
+        else:
+            held = -1
+    found, _w, _passed = find_skin(body, near, 0, p, limbs[vertex], outward[0, vertex])
+    candidate[vertex] = wp.where(found >= 0, found, held)
+
+
+@wp.func
+def distance_to_triangle(body: BodySurface, p: wp.vec3, face: wp.int32) -> wp.float32:
+    """From a point to a triangle of the body [m]."""
+    w = closest_point_on_triangle(
+        p,
+        body.points[0, body.faces[face, 0]],
+        body.points[0, body.faces[face, 1]],
+        body.points[0, body.faces[face, 2]],
+    )
+    return wp.length(p - triangle_point(body.points, body.faces, 0, face, w))
 
 
 @wp.func
@@ -227,13 +260,18 @@ def walk_to_closest(body: BodySurface, p: wp.vec3, start: wp.int32):
 @wp.kernel
 def follow_planes(
     positions: wp.array2d[wp.vec3d],
+    target: wp.array2d[wp.vec3d],
+    margin: wp.float64,
     body: BodySurface,
     lift: wp.array[wp.float64],
     # in and out
     candidate: wp.array[wp.int32],
     planes: ContactPlanes,
 ):
-    """Contact planes of the moving body from each vertex's candidate, lifted off the skin by ``lift`` [m] (W48)."""
+    """Contact planes of the moving body from each vertex's candidate, lifted off the skin by ``lift`` [m] (W48).
+
+    There is none where a vertex, on its way from its position to its target, stays more than ``margin`` [m] above it.
+    """
     vertex = wp.tid()
     first = vertex * PLANES
     planes.face[0, first] = -1
@@ -242,6 +280,12 @@ def follow_planes(
         x = positions[0, vertex]
         face, w = walk_to_closest(body, wp.vec3(x), candidate[vertex])
         candidate[vertex] = face
+        away = x - wp.vec3d(triangle_point(body.points, body.faces, 0, face, w))
+        distance = wp.length(away)
+        outside = wp.dot(wp.vec3(away), face_direction(body.points, body.faces, 0, face)) > 0.0
+        closing = wp.max(wp.dot(x - target[0, vertex], away) / wp.max(distance, wp.float64(1.0e-9)), wp.float64(0.0))
+        if outside and distance - closing > lift[vertex] + margin:
+            return
         if place_plane(planes, body, 0, first, x, face, w, -NOWHERE):
             planes.point[0, first] = planes.point[0, first] + lift[vertex] * planes.normal[0, first]
 
@@ -289,21 +333,30 @@ def anticipate_contact(
 def linearise_friction(
     target: wp.array2d[wp.vec3d],
     planes: ContactPlanes,
-    anchor: wp.array2d[wp.vec3d],
+    mass: wp.array[wp.float64],
+    clock: wp.array[wp.float64],
     slip: wp.float64,
     # in and out
+    anchor: wp.array2d[wp.vec3d],
     bound: wp.array2d[wp.float64],
 ):
-    """Make friction a spring to its anchor that holds its bound [N] where the vertex flies (``target`` [m]).
+    """Make friction a spring that holds its bound [N] where the vertex flies (``target`` [m]).
 
-    Within one linear system a constant force would throw back what is lighter than it. The spring's stiffness [N/m]
-    takes the bound's place, which makes it a bound over :data:`SPRING_SLIP`.
+    What slides feels a constant force, a spring to far away; but within one linear system a constant force would throw
+    back what is lighter than it, so that is held by a spring to its anchor. Both are springs shorter than
+    :data:`SPRING_SLIP`, over which the bound is counted.
     """
     vertex = wp.tid()
     plane = vertex * PLANES
-    if bound[0, plane] > wp.float64(0.0):
-        drift = tangential(target[0, vertex] - anchor[0, plane], planes.normal[0, plane])
-        bound[0, plane] = SPRING_SLIP * bound[0, plane] / wp.max(wp.length(drift), slip)
+    if bound[0, plane] <= wp.float64(0.0):
+        return
+    drift = tangential(target[0, vertex] - anchor[0, plane], planes.normal[0, plane])
+    length = wp.length(drift)
+    thrown = bound[0, plane] * clock[SPAN] * clock[SPAN] / mass[vertex]
+    if length > slip and thrown < wp.float64(0.5) * length:
+        anchor[0, plane] = target[0, vertex] - (SPRING_SLIP / length) * drift
+    else:
+        bound[0, plane] = SPRING_SLIP * bound[0, plane] / wp.max(length, slip)
 
 
 @wp.kernel

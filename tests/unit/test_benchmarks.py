@@ -17,6 +17,7 @@ FIGURES = {
     "frame": ("fps",),
     "peers": ("times_faster_than_cloth", "ratio_to_shape_keys"),
     "sample": ("seconds",),
+    "coarse": ("frame_ms", "times_faster_than_fine", "times_faster_than_blender_cloth"),
     "solvers": ("settled_seconds", "stepped_times_ours", "blender_times_ours", "blender_level_mm"),
 }
 
