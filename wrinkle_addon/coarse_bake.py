@@ -7,7 +7,7 @@ for step in bake_history(history, scene_frames, last=120):
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Protocol
 
@@ -55,16 +55,24 @@ class CoarseHistory:
         simulation: Of the layers that the cache is of, in their order.
         cache: The cache.
         state_type: Dataclass of arrays that the simulation goes on from.
+        carry: What the simulation takes for the body [m], from the scene's; the same if left out.
 
     Attributes:
         frame: Where the simulation stands; None before it has begun.
     """
 
-    def __init__(self, simulation: Simulation, cache: CoarseCache, state_type: type):
+    def __init__(
+        self,
+        simulation: Simulation,
+        cache: CoarseCache,
+        state_type: type,
+        carry: Callable[[Points], Points] | None = None,
+    ):
         self.simulation = simulation
         self.cache = cache
         self.frame: int | None = None
         self._state_type = state_type
+        self._carry = carry
 
     def turn_to(self, cache: CoarseCache) -> None:
         """Fill another cache of the same layers from its first frame on."""
@@ -96,12 +104,13 @@ class CoarseHistory:
     def step(self, scene: SceneFrame) -> Mapping[str, Any]:
         """Simulate a frame without a word to the cache."""
         carried = [scene.carried[name] for name in self.cache.spec.garments]
+        body = self._carry(scene.body) if self._carry is not None else scene.body
         if scene.frame == self.cache.first:
-            report = self.simulation.start(scene.body, carried)
+            report = self.simulation.start(body, carried)
         else:
             if not self._stands_before(scene.frame):
                 self.go_back(scene.frame - 1)
-            report = self.simulation.step(scene.body, carried, 1.0 / self.cache.spec.fps)
+            report = self.simulation.step(body, carried, 1.0 / self.cache.spec.fps)
         self.frame = scene.frame
         return asdict(report)
 

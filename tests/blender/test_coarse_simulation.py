@@ -114,6 +114,21 @@ def test_an_earlier_first_frame_begins_anew(wrinkle, file: Path) -> None:
     assert result["simulated"] == FRAMES
 
 
+def test_a_coarser_body_is_one_number(wrinkle, arm: Arm, file: Path) -> None:
+    arm.sleeve.wrinkles.coarse_proxy = 200
+    save(file)
+    assert wrinkle("simulate", file, "--json").result["simulated"] == FRAMES
+    folder = file.parent / "rig.coarse"
+    near = read(folder, FRAMES)[f"{FRAMES} sleeve"]
+    sleeve().wrinkles.coarse_proxy = 0
+    save(file)
+    result = wrinkle("simulate", file, "--json").result
+    assert "the setting body proxy (200, now 0) changed" in result["replaced"]
+    difference = np.linalg.norm(read(folder, FRAMES)[f"{FRAMES} sleeve"] - near, axis=1)
+    # Facets of the proxy, and where the loose sleeve slides on them.
+    assert 0.0 < np.median(difference) < 0.01
+
+
 def test_a_character_that_jumps_is_settled_anew_and_that_is_said(wrinkle, arm: Arm, file: Path) -> None:
     for ob in bpy.data.objects:
         for frame, x in ((3, 0.0), (4, 5.0)):
@@ -258,6 +273,20 @@ def test_what_changed_since_it_was_simulated_is_told(
 )
 def test_options_that_make_no_sense_are_refused(wrinkle, file: Path, arguments: tuple[str, ...], sentence: str) -> None:
     assert sentence in wrinkle("simulate", file, *arguments).complaint
+
+
+@pytest.mark.parametrize("proxy", [0, 200])
+def test_a_body_that_changes_its_mesh_between_frames_is_refused(wrinkle, arm: Arm, file: Path, proxy: int) -> None:
+    arm.sleeve.wrinkles.coarse_proxy = proxy
+    finer = arm.sleeve.wrinkles.body.modifiers.new("Finer", "SUBSURF")
+    for frame, shown in ((1, False), (3, True)):
+        finer.show_viewport = shown
+        finer.keyframe_insert("show_viewport", frame=frame)
+    save(file)
+    outcome = wrinkle("simulate", file)
+    assert outcome.code == 2 and "wrinkle: The body has 384 vertices, but 1504 in this frame" in outcome.errors
+    # What was simulated before it is kept.
+    assert CoarseCache.open(file.parent / "rig.coarse").last == 2
 
 
 def test_a_garment_that_follows_no_simulation_cannot_be_simulated(wrinkle, arm: Arm, file: Path) -> None:

@@ -7,7 +7,7 @@ is in world axes, in metres.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bake import SOLVER_VERSION
+from ..body_proxy import BodyProxy, make_body_proxy
 from ..cloth_model import build_cloth_model
 from ..coarse_bake import CoarseHistory, SceneFrame
 from ..coarse_cache import CoarseCache, CoarseSpec, Motion, Points
@@ -70,7 +71,7 @@ def read_spec(garments: Sequence[bpy.types.Object], scene: bpy.types.Scene) -> C
     return CoarseSpec(
         garments={ob.name: _garment_hash(ob) for ob in garments},
         body=_hash(*read_mesh(garments[0].wrinkles.body.data)),
-        settings={ob.name: _settings(ob) for ob in garments},
+        settings={ob.name: {**_settings(ob), "body_proxy": _proxy_size(garments)} for ob in garments},
         fps=frame_rate(scene),
         solver=f"{SOLVER_VERSION}.{COARSE_VERSION}",
     )
@@ -84,6 +85,11 @@ def frame_rate(scene: bpy.types.Scene) -> float:
 def _settings(garment: bpy.types.Object) -> dict[str, object]:
     settings = garment.wrinkles
     return {**asdict(settings.coarse_settings()), "ease": list(settings.bake_settings().ease)}
+
+
+def _proxy_size(garments: Sequence[bpy.types.Object]) -> int:
+    """Vertices of the body that garments collide with: the innermost one's choice; 0 for the body itself."""
+    return int(garments[0].wrinkles.coarse_proxy)
 
 
 def _garment_hash(garment: bpy.types.Object) -> str:
@@ -112,6 +118,10 @@ def build_history(garments: Sequence[bpy.types.Object], cache: CoarseCache, devi
     settings = garments[0].wrinkles
     to_rig = rig_from_world(settings.armature)
     with sampling_stage(settings.armature, settings.body) as stage:
+        size, body = _proxy_size(garments), stage.body
+        proxy = make_body_proxy(body.positions, body.faces, size) if size else None
+        if proxy is not None:
+            body = proxy.of_body(body)
         layers = []
         for ob in garments:
             coarse, chosen, baked = ob.wrinkles.coarse, ob.wrinkles.coarse_settings(), ob.wrinkles.bake_settings()
@@ -124,10 +134,25 @@ def build_history(garments: Sequence[bpy.types.Object], cache: CoarseCache, devi
                 warp_directions=read.warp,
                 ease=baked.ease,
             )
-            limbs = worn_limbs(stage.rig, read, stage.body)
+            limbs = worn_limbs(stage.rig, read, body)
             layers.append(CoarseLayer(ob.name, read.positions, read.faces, chosen, read.pins, model=model, limbs=limbs))
-        simulation = CoarseSimulation(layers, stage.body.faces, stage.body.positions, device=device)
-    return CoarseHistory(simulation, cache, CoarseState)
+        simulation = CoarseSimulation(layers, body.faces, body.positions, device=device)
+    carry = _carrier(proxy, len(stage.body.positions)) if proxy is not None else None
+    return CoarseHistory(simulation, cache, CoarseState, carry)
+
+
+def _carrier(proxy: BodyProxy, count: int) -> Callable[[Points], Points]:
+    """What takes a body of this many vertices to its proxy; refuses another body as the simulation itself would."""
+
+    def carry(body: Points) -> Points:
+        if len(body) != count:
+            raise ValueError(
+                f"The body has {count} vertices, but {len(body)} in this frame; "
+                "it must keep its mesh over the whole motion."
+            )
+        return proxy.carry(body)
+
+    return carry
 
 
 # --- what drives it -----------------------------------------------------------------------------------------------

@@ -142,7 +142,8 @@ class WRINKLE_PT_coarse(WrinklePanel, bpy.types.Panel):
             column.separator()
             for name in ("coarse_cache", "coarse_order", "coarse_steps", "coarse_buffer", "coarse_damping"):
                 column.prop(settings, name)
-            column.prop(settings, "coarse_pre_roll")
+            for name in ("coarse_pre_roll", "coarse_proxy"):
+                column.prop(settings, name)
             layout.operator("wrinkle.simulate_coarse", icon="PHYSICS")
 
 

@@ -246,6 +246,16 @@ class GarmentSettings(bpy.types.PropertyGroup):
         options=set(),
         update=_played_anew,
     )
+    coarse_proxy: bpy.props.IntProperty(
+        name="Body Proxy",
+        default=0,
+        min=0,
+        soft_max=20_000,
+        options=set(),
+        description="Vertices of a coarser body to collide with, such as 10,000; 0 for the body itself. "
+        "The innermost layer's counts",
+        update=_played_anew,
+    )
     follow: bpy.props.FloatProperty(
         name="Follow",
         default=1.0,
