@@ -33,7 +33,7 @@ def draw(case: Case, shapes: Mapping[str, FloatArray], path: Path) -> None:
             [_render(case, shape, camera, Path(folder) / f"{row}{column}.png") for column, shape in columns]
             for row, camera in enumerate(VIEWS.values())
         ]
-        compose(rows, list(shapes), list(VIEWS), path)
+        compose(rows, list(shapes), [[view] + [""] * (len(shapes) - 1) for view in VIEWS], path)
 
 
 def _render(case: Case, shape: FloatArray, camera: tuple[float, float, float], path: Path) -> Path:

@@ -10,13 +10,15 @@ CAPTION, GAP = 0.075, 0.012
 INK, PAPER = (40, 42, 46), (250, 250, 249)
 
 
-def compose(rows: Sequence[Sequence[Path]], columns: Sequence[str], sides: Sequence[str], path: Path) -> Path:
+def compose(
+    rows: Sequence[Sequence[Path]], columns: Sequence[str], corners: Sequence[Sequence[str]], path: Path
+) -> Path:
     """Put equally large pictures into a table.
 
     Args:
         rows: Pictures, row by row.
         columns: Caption above each column.
-        sides: Caption in the corner of each row's first picture; empty for none.
+        corners: Caption in the corner of each picture; empty for none.
         path: Where the result goes: .png or .jpg.
 
     Raises:
@@ -24,7 +26,7 @@ def compose(rows: Sequence[Sequence[Path]], columns: Sequence[str], sides: Seque
     """
     from PIL import Image, ImageDraw
 
-    if any(len(row) != len(columns) for row in rows) or len(sides) != len(rows):
+    if any(len(row) != len(columns) for row in (*rows, *corners)) or len(corners) != len(rows):
         raise ValueError("Every row needs a picture for each column, and a caption.")
     images = [[Image.open(picture).convert("RGB") for picture in row] for row in rows]
     sizes = {image.size for row in images for image in row}
@@ -40,8 +42,9 @@ def compose(rows: Sequence[Sequence[Path]], columns: Sequence[str], sides: Seque
     for r, row in enumerate(images):
         top = caption + r * (down + gap)
         for k, image in enumerate(row):
-            sheet.paste(image, (k * (across + gap), top))
-        draw.text((gap * 2, top + gap * 2), sides[r], INK, _font(round(0.45 * caption)))
+            left = k * (across + gap)
+            sheet.paste(image, (left, top))
+            draw.text((left + gap * 2, top + gap * 2), corners[r][k], INK, _font(round(0.45 * caption)))
     # Films need even sides.
     sheet = sheet.crop((0, 0, sheet.width - sheet.width % 2, sheet.height - sheet.height % 2))
     path.parent.mkdir(parents=True, exist_ok=True)

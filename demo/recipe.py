@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 
@@ -13,7 +13,8 @@ class Recipe:
     Attributes:
         sex, garment, vertex_count: The character and what it wears.
         clip: A motion-capture clip of :mod:`.motion`.
-        samples: Most samples to simulate.
+        samples: Most samples to simulate; None is the paper's whole plan, over all that the joints can do.
+        pictured_samples: So many samples are pictured, too, in rows of four.
         processes: Bakes that run side by side.
         settled_step: Every how many frames the garment is settled for comparison.
         simulated: First and last frame of the full simulation; 0 is the clip's end.
@@ -29,7 +30,8 @@ class Recipe:
     garment: str
     vertex_count: int
     clip: str
-    samples: int
+    samples: int | None
+    pictured_samples: int
     processes: int
     settled_step: int
     simulated: tuple[int, int]
@@ -54,6 +56,7 @@ FULL = Recipe(
     vertex_count=12_000,
     clip="punch",
     samples=36,
+    pictured_samples=4,
     processes=2,
     settled_step=10,
     simulated=(1, 0),
@@ -71,6 +74,7 @@ FULL = Recipe(
         "synthesis": 5.0,
         "references": 300.0,
         "errors": 12.0,
+        "samples": 15.0,
         "pictures": 90.0,
         "film": 240.0,
     },
@@ -81,6 +85,7 @@ QUICK = Recipe(
     vertex_count=4_000,
     clip="punch",
     samples=6,
+    pictured_samples=4,
     processes=2,
     settled_step=25,
     simulated=(18, 30),
@@ -98,7 +103,28 @@ QUICK = Recipe(
         "synthesis": 4.0,
         "references": 55.0,
         "errors": 5.0,
+        "samples": 5.0,
         "pictures": 20.0,
         "film": 18.0,
     },
 )
+
+
+WHOLE_SHIRT = replace(
+    FULL,
+    samples=None,
+    pictured_samples=12,
+    expected={
+        "character": 15.0,
+        "set-up": 10.0,
+        "bake": 1500.0,
+        "synthesis": 5.0,
+        "references": 300.0,
+        "errors": 12.0,
+        "samples": 100.0,
+        "pictures": 90.0,
+        "film": 240.0,
+    },
+)
+WHOLE_TROUSERS = replace(WHOLE_SHIRT, sex="female", garment="trousers", clip="kick")
+WHOLE = {recipe.garment: recipe for recipe in (WHOLE_SHIRT, WHOLE_TROUSERS)}

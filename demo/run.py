@@ -7,32 +7,35 @@ output folder, and another run goes on after the last one that is there.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from . import packages
 from .command import Listener, Verb, run_verb
 from .motion import write_clip
 from .picture import compose, make_film
 from .progress import Progress
-from .recipe import FULL, QUICK, Recipe
+from .recipe import Recipe
 from .rendering import quiet, render_frames
 from .report import describe_machine, write_report
 from .results import Results
+from .samples import make_sample_clip
 from .scene import FRAMES_PER_SECOND, PIN_GROUP, build_character
 from .studio import make_live, make_playback, make_skinned
 
 COLUMNS = {"skinning": "Skinning alone", "synthesis": "Wrinkle Synthesis", "simulation": "Full simulation"}
 FILM_REPEATS = 3
+SHEET_COLUMNS = 4
+Entry = TypeVar("Entry")
 
 
-def run_demo(out: Path, quick: bool = False) -> dict[str, Any]:
+def run_demo(out: Path, recipe: Recipe) -> dict[str, Any]:
     """Run the demo, or go on with it.
 
     Args:
         out: Folder for the results.
-        quick: Few samples of a coarse garment, in minutes.
+        recipe: What to make in it.
 
     Returns:
         The report, and ``text``, where to look.
@@ -40,7 +43,7 @@ def run_demo(out: Path, quick: bool = False) -> dict[str, Any]:
     Raises:
         ValueError: One sentence, if a stage fails; what is done stays.
     """
-    demo = Demo(Path(out), QUICK if quick else FULL)
+    demo = Demo(Path(out), recipe)
     report: dict[str, Any] = {}
     for stage, work in demo.stages.items():
         demo.progress.begin(stage)
@@ -69,6 +72,7 @@ class Demo:
             "synthesis": self.synthesize,
             "references": self.make_references,
             "errors": self.measure,
+            "samples": self.picture_samples,
             "pictures": self.picture,
             "film": self.film,
         }
@@ -100,10 +104,12 @@ class Demo:
                 "animate", out / "character.blend", "--motion", out / "clip.bvh", "--out", out / "animated.blend"
             )
             self.progress.update(0.3)
+            chosen = ("--full",)
+            if recipe.samples is not None:
+                chosen = ("--samples", str(recipe.samples), "--ranges", f"1:{animated['frames']}")
             setup = self._run(
                 "setup", out / "animated.blend", "--garment", recipe.garment, "--body", "body",
-                "--subdivide", "0", "--pins", PIN_GROUP, "--ranges", f"1:{animated['frames']}",
-                "--samples", str(recipe.samples), "--out", self._scene,
+                "--subdivide", "0", "--pins", PIN_GROUP, *chosen, "--out", self._scene,
             )  # fmt: skip
             self.progress.update(0.8)
             return {"frames": animated["frames"], "setup": setup, "plan": self._run("plan", self._scene)}
@@ -192,6 +198,33 @@ class Demo:
         note = f"RMS {_errors(settled)} against the equilibrium, {_errors(simulated)} against the simulation"
         return {"simulate": simulated, "note": note}
 
+    def picture_samples(self) -> dict[str, Any]:
+        """Samples from all over the plan, each with the joint and the node that it stands for."""
+        recipe, folder = self.recipe, self.out / "samples"
+        database = self.out / f"{recipe.garment}.wrinkles"
+
+        def make() -> dict[str, Any]:
+            folder.mkdir(exist_ok=True)
+            clip, cache, playback = folder / "clip.blend", folder / "samples.pc2", folder / "playback.blend"
+            with quiet():
+                names = make_sample_clip(self._scene, recipe.garment, database, recipe.pictured_samples, clip)
+            self._run("synthesize", clip, "--database", database, "--out", cache)
+            with quiet():
+                make_playback(clip, recipe.garment, cache, playback)
+            shown, size = {"sample": cache}, recipe.film_size
+            frames = range(1, len(names) + 1)
+            made = render_frames(playback, recipe.garment, shown, frames, folder, size, recipe.film_rays, close=True)
+            pictures = self._counted(made, len(names))
+            compose(
+                _rows(pictures, SHEET_COLUMNS),
+                [""] * SHEET_COLUMNS,
+                _rows(names, SHEET_COLUMNS),
+                self.out / "samples.png",
+            )
+            return {"pictured_samples": names}
+
+        return self.results.keep("samples", make)
+
     def picture(self) -> dict[str, Any]:
         """Side by side, the frames in which skinning is furthest from the simulation."""
         recipe = self.recipe
@@ -202,8 +235,8 @@ class Demo:
                 for make_file, name in ((make_live, "wrinkles.blend"), (make_playback, "playback.blend")):
                     make_file(self._scene, recipe.garment, self._caches["synthesis"], self.out / name)
             pictures = self._render(rows, "stills", recipe.picture_size, recipe.picture_rays, close=True)
-            sides = [f"frame {frame}" for frame in rows]
-            compose(pictures, list(COLUMNS.values()), sides, self.out / "side_by_side.png")
+            corners = [[f"frame {frame}", "", ""] for frame in rows]
+            compose(pictures, list(COLUMNS.values()), corners, self.out / "side_by_side.png")
             return {"pictured_frames": rows}
 
         return self.results.keep("pictures", make)
@@ -216,7 +249,7 @@ class Demo:
             frames = self._simulated[:: recipe.film_step]
             rows = self._render(frames, folder.name, recipe.film_size, recipe.film_rays)
             sheets = [
-                compose([row], list(COLUMNS.values()), [""], folder / f"sheet-{frame:04d}.png")
+                compose([row], list(COLUMNS.values()), [[""] * len(COLUMNS)], folder / f"sheet-{frame:04d}.png")
                 for frame, row in zip(frames, rows, strict=True)
             ]
             speed = max(1, round(FRAMES_PER_SECOND * recipe.film_speed / recipe.film_step))
@@ -268,13 +301,22 @@ class Demo:
         self, frames: Sequence[int], folder: str, size: tuple[int, int], rays: int, close: bool = False
     ) -> list[list[Path]]:
         """Pictures of frames, a row each, a column for each cache."""
-        pictures: list[Path] = []
         count = len(frames) * len(COLUMNS)
         playback, garment = self.out / "playback.blend", self.recipe.garment
-        for picture in render_frames(playback, garment, self._caches, frames, self.out / folder, size, rays, close):
-            pictures.append(picture)
-            self.progress.update(len(pictures) / count, f"picture {len(pictures)} of {count}")
-        return [pictures[k : k + len(COLUMNS)] for k in range(0, count, len(COLUMNS))]
+        made = render_frames(playback, garment, self._caches, frames, self.out / folder, size, rays, close)
+        return _rows(self._counted(made, count), len(COLUMNS))
+
+    def _counted(self, pictures: Iterable[Path], count: int) -> list[Path]:
+        """Pictures as they are made, told as parts of the stage."""
+        made: list[Path] = []
+        for picture in pictures:
+            made.append(picture)
+            self.progress.update(len(made) / count, f"picture {len(made)} of {count}")
+        return made
+
+
+def _rows(entries: Sequence[Entry], columns: int) -> list[list[Entry]]:
+    return [list(entries[k : k + columns]) for k in range(0, len(entries), columns)]
 
 
 def hardest_frames(frames: Sequence[Mapping[str, Any]], count: int) -> list[int]:

@@ -49,8 +49,8 @@ FOLLOW = 4
 
 def make_skinned(scene_path: Path, garment: str, path: Path) -> None:
     """Save a copy of a scene in which the garment's wrinkles have no strength."""
-    _open(scene_path, garment).wrinkles.strength = 0.0
-    _save(path)
+    open_garment(scene_path, garment).wrinkles.strength = 0.0
+    save(path)
 
 
 def make_live(scene_path: Path, garment: str, cache: Path, path: Path) -> None:
@@ -59,23 +59,23 @@ def make_live(scene_path: Path, garment: str, cache: Path, path: Path) -> None:
     Args:
         cache: Where the garment goes, for the camera.
     """
-    shown = _open(scene_path, garment)
+    shown = open_garment(scene_path, garment)
     _furnish(shown, cache)
     shown.wrinkles.enabled = True
-    _save(path)
+    save(path)
 
 
 def make_playback(scene_path: Path, garment: str, cache: Path, path: Path) -> None:
     """Save a copy of a scene, lit and framed, in which a point cache plays the garment, with or without the add-on."""
-    shown = _open(scene_path, garment)
+    shown = open_garment(scene_path, garment)
     _furnish(shown, cache)
     # The cache's path is stored relative to the file, which must have its place first.
-    _save(path)
+    save(path)
     show_cache(shown, cache)
-    _save(path)
+    save(path)
 
 
-def _open(scene_path: Path, garment: str) -> Any:
+def open_garment(scene_path: Path, garment: str) -> Any:
     """The garment in a freshly opened file, with the add-on's properties known to Blender."""
     import bpy
 
@@ -87,7 +87,7 @@ def _open(scene_path: Path, garment: str) -> Any:
     return bpy.data.objects[garment]
 
 
-def _save(path: Path) -> None:
+def save(path: Path) -> None:
     import bpy
 
     bpy.context.preferences.filepaths.save_version = 0

@@ -8,17 +8,28 @@ from types import ModuleType
 import bpy
 
 from ..wrinkle_addon.blender import command, handlers, panels, preferences, properties
-from . import bake, cancel_bake, make_coarse_mesh, setup_garment, simulate_coarse, take_ranges
+from . import (
+    bake,
+    cancel_bake,
+    make_coarse_mesh,
+    setup_garment,
+    show_influence,
+    simulate_coarse,
+    take_ranges,
+    write_clip,
+)
 
 MODULES: Sequence[ModuleType] = (
     preferences,
     properties,
     setup_garment,
     take_ranges,
+    show_influence,
     bake,
     cancel_bake,
     make_coarse_mesh,
     simulate_coarse,
+    write_clip,
     panels,
     handlers,
     command,

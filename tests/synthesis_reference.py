@@ -80,7 +80,7 @@ def joined(offsets: Array) -> Array:
 def papers_form(method: JointWrinkles, pose: Pose) -> Array:
     """Eq 1 to 3 nested over each joint's grid, eq 4 in the rigid frames of the regions."""
     database, header = method.database, method.header
-    regions, weights = header.regions, method.distance_weights()
+    regions, weights = header.regions, method.joint_weights()
     skinned, _ = skin_frame(header.rig, header.garment.weights, database.rest, pose)
     deformations = pose.deformations(header.rig)
     total, used = np.zeros_like(skinned), np.zeros(len(skinned))

@@ -66,12 +66,13 @@ def run(options: argparse.Namespace) -> Mapping[str, Any]:
     """Run the verb that was parsed; what it needs is imported only now."""
     if options.verb == "demo":
         try:
+            from ..demo.recipe import FULL, QUICK, WHOLE
             from ..demo.run import run_demo
         except ModuleNotFoundError as error:
             raise ValueError(
                 f"The demo needs {error.name}, which is not here; run `make demo` in a clone of the project."
             ) from error
-        return run_demo(options.out, quick=options.quick)
+        return run_demo(options.out, WHOLE[options.whole] if options.whole else QUICK if options.quick else FULL)
     if options.verb in FOLDER_VERBS:
         from . import folder_verbs
 

@@ -38,7 +38,9 @@ def build_parser() -> Parser:
 
     demo = add("demo", "the main job on a real human body: bake, play a clip, pictures, film, report")
     demo.add_argument("--out", type=Path, default=Path("demo-out"), help="folder for the results")
-    demo.add_argument("--quick", action="store_true", help="at most 6 samples at 4,000 vertices")
+    size = demo.add_mutually_exclusive_group()
+    size.add_argument("--quick", action="store_true", help="at most 6 samples at 4,000 vertices")
+    size.add_argument("--whole", choices=("shirt", "trousers"), help="the paper's whole plan for this garment; an hour")
     _add_character_verbs(add)
     _add_bake_verbs(add)
     _add_clip_verbs(add)
@@ -110,9 +112,22 @@ def _add_bake_verbs(add: AddVerb) -> None:
 def _add_clip_verbs(add: AddVerb) -> None:
     clip = (_file(), _garment(), _frames(), _device())
 
-    synthesize = add("synthesize", "play the method into a PC2 point cache", *clip)
+    synthesize = add("synthesize", "play the method into a point cache, an Alembic or a USD file", *clip)
     synthesize.add_argument("--formulation", choices=("offsets", "paper", "nearest"), help="left out, the stored one")
-    synthesize.add_argument("--out", type=Path, required=True, help="the .pc2 file to write")
+    _add_weights(synthesize)
+    synthesize.add_argument(
+        "--part",
+        metavar="FIRST:LAST",
+        help="only these of the frames; the run without it makes the rest and joins",
+    )
+    synthesize.add_argument(
+        "--blend",
+        type=Path,
+        help="also write this .blend file, where a Mesh Cache modifier plays the .pc2 file",
+    )
+    synthesize.add_argument(
+        "--out", type=Path, required=True, help="the .pc2, .abc, .usd, .usdc or .usda file to write"
+    )
 
     simulate = add("simulate", "simulate the coarse layer over the clip into its cache, or the garment in full", *clip)
     simulate.add_argument("--fine", action="store_true", help="the full simulation, into a PC2 point cache")
@@ -126,6 +141,18 @@ def _add_clip_verbs(add: AddVerb) -> None:
     evaluate.add_argument("--reference", default="settle", help="settle, simulate, or a CACHE.pc2 of the garment")
     evaluate.add_argument("--losses", action="store_true", help="with settle: tell which part of the method loses what")
     evaluate.add_argument("--plots", type=Path, help="folder for plots")
+    _add_weights(evaluate)
+
+    influence = add("influence", "how much each joint changes the wrinkles", _file(), _garment(), _device())
+    influence.add_argument("--joints", metavar="NAME,...", help="these joints; left out, all that were sampled")
+    influence.add_argument("--plots", type=Path, help="folder for plots beside the weights by distance")
+    influence.add_argument("--out", type=Path, help="the .blend file to write, with the garment coloured")
+
+
+def _add_weights(verb: Parser) -> None:
+    verb.add_argument(
+        "--weights", choices=("distance", "measured"), help="by which joints meet; left out, those stored"
+    )
 
 
 def _add_folder_verbs(add: AddVerb) -> None:

@@ -313,6 +313,7 @@ class ClothSimulation:
         self._set_inertia(target, np.full(self.world_count, 1.0 / dt**2))
         for _ in range(self.solver_settings.newton_iterations):
             self._contact.find(self._positions, self._none, self._moving)
+            self._evaluate_gradient()
             self._newton_step()
         # What a fast body has run over in spite of all must not go on into it, nor come out on its other side.
         self._contact.expel(self._positions, EXPELLED_DEPTH)
@@ -320,7 +321,7 @@ class ClothSimulation:
         self._contact.follow(self._positions, self._moving)
 
     def _newton_step(self, share: FloatArray | float = 1.0) -> tuple[int, FloatArray]:
-        """One linearisation at the frozen contact: conjugate gradients, then the line search.
+        """One linearisation at the frozen contact and the gradient: conjugate gradients, then the line search.
 
         Args:
             share: Most of its step that each world takes.
@@ -328,7 +329,6 @@ class ClothSimulation:
         Returns the iterations of the former and the share of its step that the latter left each world.
         """
         settings = self.solver_settings
-        self._evaluate_gradient()
         before = self._evaluate_energy()
         self._linearise()
         iterations = self._system.solve(

@@ -61,15 +61,23 @@ class Limbs:
     of_vertices: IntArray
 
 
-def make_body(faces: IntArray, positions: FloatArray, device: Any) -> tuple[body_surface.BodySurface, list[wp.Mesh]]:
-    """The bodies of all worlds as kernels take them, [world_count, body_vertex_count, 3], and their trees of boxes."""
+def make_body(
+    faces: IntArray, positions: FloatArray, device: Any, *, winding: bool = True
+) -> tuple[body_surface.BodySurface, list[wp.Mesh]]:
+    """The bodies of all worlds as kernels take them, [world_count, body_vertex_count, 3], and their trees of boxes.
+
+    ``winding`` says whether the trees can tell the inside of a body by its winding number.
+    """
     body = body_surface.BodySurface()
     body.faces = wp.array(faces, dtype=wp.int32, device=device)
     body.beside = wp.array(triangles_beside(faces), dtype=wp.int32, device=device)
     body.points = wp.array(positions.astype(np.float32), dtype=wp.vec3, device=device)
     body.normals = wp.zeros(body.points.shape, dtype=wp.vec3, device=device)
     indices = body.faces.flatten()
-    meshes = [wp.Mesh(points=body.points[world], indices=indices) for world in range(len(positions))]
+    meshes = [
+        wp.Mesh(points=body.points[world], indices=indices, support_winding_number=winding)
+        for world in range(len(positions))
+    ]
     body.meshes = wp.array([mesh.id for mesh in meshes], dtype=wp.uint64, device=device)
     return body, meshes
 

@@ -25,7 +25,7 @@ class SolverSettings:
     """
 
     order: int = 1
-    linear_tolerance: float = 0.05
+    linear_tolerance: float = 0.1
     linear_iterations: int = 150
     newton_iterations: int = 2
     line_search_halvings: int = 6

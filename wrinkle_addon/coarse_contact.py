@@ -70,7 +70,7 @@ class CoarseContact:
         self._faces = self._upload(model.faces, wp.int32)
         self._area, self._mass = self._upload(model.area, wp.float64), self._upload(model.mass, wp.float64)
         self._corners = [self._upload(values, wp.int32) for values in (model.corner_start, model.corners)]
-        self.body, self._body_meshes = make_body(body_faces, body_positions[None], device)
+        self.body, self._body_meshes = make_body(body_faces, body_positions[None], device, winding=False)
         body_count = len(body_positions)
         self._body_corners = [self._upload(values, wp.int32) for values in group(body_faces.ravel(), body_count)]
         self.points, self.normals = make_path(body_count, device), make_path(body_count, device)

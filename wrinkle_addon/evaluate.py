@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .database import WrinkleDatabase
-from .joint_wrinkles import Formulation, JointEvaluator, JointWrinkles
+from .joint_wrinkles import BlendWeights, Formulation, JointEvaluator, JointWrinkles
 from .rig import FloatArray, Pose
 from .surface import BodyVolume, SurfaceMeasures
 
@@ -41,13 +41,13 @@ class EvaluatedFrame:
 class Candidates:
     """Everything that a reference is compared with, bound once."""
 
-    def __init__(self, database: WrinkleDatabase, device: str = "cpu"):
-        self._evaluators: dict[str, tuple[JointEvaluator, float]] = {}
-        ours = JointWrinkles(database).bind(device)
-        self._evaluators = {
+    def __init__(self, database: WrinkleDatabase, device: str = "cpu", weights: BlendWeights = BlendWeights.DISTANCE):
+        bound = {kind: JointWrinkles(database, kind, weights).bind(device) for kind in Formulation}
+        ours = bound[Formulation.OFFSETS]
+        self._evaluators: dict[str, tuple[JointEvaluator, float]] = {
             "skinning": (ours, 0.0),
-            "nearest": (JointWrinkles(database, Formulation.NEAREST).bind(device), 1.0),
-            "paper": (JointWrinkles(database, Formulation.PAPER).bind(device), 1.0),
+            "nearest": (bound[Formulation.NEAREST], 1.0),
+            "paper": (bound[Formulation.PAPER], 1.0),
             OURS: (ours, 1.0),
         }
 
@@ -61,6 +61,7 @@ def evaluate(
     frames: Iterable[EvaluatedFrame],
     body_faces: NDArray[np.int32] | None,
     device: str = "cpu",
+    weights: BlendWeights = BlendWeights.DISTANCE,
 ) -> dict[str, Any]:
     """Compare every candidate with a reference over a clip.
 
@@ -68,6 +69,8 @@ def evaluate(
         database: The baked garment.
         frames: The reference, in order.
         body_faces: Triangles of the body in ``frames``; None leaves penetration out.
+        device: Warp device.
+        weights: Where the weights come from by which joints meet, in every candidate.
 
     Returns:
         ``rmse_mm``, ``max_mm``: root mean square and largest vertex error of each candidate over the clip;
@@ -80,7 +83,7 @@ def evaluate(
     Raises:
         ValueError: If there is no frame, or a reference has another number of vertices.
     """
-    candidates = Candidates(database, device)
+    candidates = Candidates(database, device, weights)
     regions = database.header.regions
     surface = SurfaceMeasures(database.header.garment.faces, database.header.garment.vertex_count)
     numbers: list[float] = []

@@ -3,7 +3,8 @@
 Two formulations from one database. ``OFFSETS`` interpolates offsets over skinning and joins those of all joints; it is
 the default: it follows bones that were not sampled and has no seams. ``PAPER`` interpolates positions along arcs (eq 1
 to 3) and averages the joints' meshes by distance to the neighbouring regions (eq 4). ``NEAREST`` joins the offsets of
-each joint's nearest sample; it is what the others have to beat.
+each joint's nearest sample; it is what the others have to beat. How far a joint reaches is told by distance, or
+measured on its samples (:mod:`.influence`).
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from ..kernels.skinning import Skin
 from . import rotations
 from .database import WrinkleDatabase
 from .garment import SkinWeights, distances_to_segments
+from .influence import influence_shares, influence_windows, measure_influence, smoothed_influence
 from .method import BLOCK_SIZE, Evaluator, Method, SplitLaunch
 from .plan import JointGrid, Sample
 from .rig import FloatArray, Pose, pose_of_angles
@@ -47,6 +49,13 @@ class Formulation(enum.Enum):
     OFFSETS = "offsets"
     PAPER = "paper"
     NEAREST = "nearest"
+
+
+class BlendWeights(enum.Enum):
+    """Where the weights come from by which joints meet."""
+
+    DISTANCE = "distance"
+    MEASURED = "measured"
 
 
 @dataclass(frozen=True)
@@ -86,6 +95,7 @@ class JointWrinkles(Method):
     Args:
         database: The database; every sample is read here, once.
         formulation: How samples meet.
+        weights: How far each joint reaches.
         hinges_about_axis: In the paper's formulation, interpolate hinges by eq 3 about their own axis instead of eq 1.
     """
 
@@ -93,11 +103,13 @@ class JointWrinkles(Method):
         self,
         database: WrinkleDatabase,
         formulation: Formulation = Formulation.OFFSETS,
+        weights: BlendWeights = BlendWeights.DISTANCE,
         *,
         hinges_about_axis: bool = True,
     ):
         self.database = database
         self.formulation = formulation
+        self.weights = weights
         self.hinges_about_axis = hinges_about_axis
         self.header = database.header
         self.samples = dict(database.samples())
@@ -111,11 +123,27 @@ class JointWrinkles(Method):
         """Distance of each vertex to each region of the settled garment [m], shape [vertex_count, segment_count]."""
         return distances_to_segments(self.database.rest, self.header.garment.faces, self.header.regions)
 
+    @cached_property
+    def influence(self) -> dict[str, FloatArray]:
+        """What every joint changes on every vertex, measured and smoothed [m], shape [vertex_count] each."""
+        measured = measure_influence(self.header, self.database.rest, self.samples)
+        return smoothed_influence(measured, self.database.rest, self.header.garment.faces)
+
     def window(self, joint: str) -> NDArray[np.float32]:
-        """phi_J: 1 on and around the joint's regions, fading smoothly to 0 far away, shape [vertex_count]."""
+        """phi_J, by which the joint's offsets count on a vertex, shape [vertex_count].
+
+        By distance, 1 on and around the joint's regions, fading smoothly to 0 far away. Measured, 1 where no joint acts
+        more than this one.
+        """
+        if self.weights is BlendWeights.MEASURED:
+            return influence_windows(self.influence)[joint].astype(np.float32)
         distance = self.segment_distances[:, self.header.regions.joints[joint]].min(1)
         t = np.clip((WINDOW_END - distance) / (WINDOW_END - WINDOW_START), 0.0, 1.0)
         return (t * t * (3.0 - 2.0 * t)).astype(np.float32)
+
+    def joint_weights(self) -> dict[str, FloatArray]:
+        """By what share every joint's mesh counts on a vertex in the paper's formulation, shape [vertex_count] each."""
+        return influence_shares(self.influence) if self.weights is BlendWeights.MEASURED else self.distance_weights()
 
     def distance_weights(self) -> dict[str, FloatArray]:
         """Eq 4's weight of every joint on every vertex, inverse to the distance of the region beyond it (W66).
@@ -287,7 +315,7 @@ class PaperEvaluator(JointEvaluator):
         self._segment_bones = regions.frames
         segments, count = len(regions.segments), len(self._grids)
         self._launch = SplitLaunch(self._vertex_count, device)
-        weights = method.distance_weights()
+        weights = method.joint_weights()
         owners, numbers, places, frames, shares, data = [], [], [], [], [], []
         self._starts: list[dict[tuple[int, ...], int]] = []
         base = 0

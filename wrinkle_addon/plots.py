@@ -1,23 +1,36 @@
-"""Plots of an evaluation: error over the clip, error by region, curvature over the clip. Needs Matplotlib."""
+"""Plots of an evaluation and of the joints' influence. Needs Matplotlib."""
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .influence import influence_colours
+from .rig import FloatArray
+from .storage import make_folder
+from .topology import IntArray
+
 COLOURS = {"skinning": "#999999", "nearest": "#c9a227", "paper": "#3b7dd8", "ours": "#c0392b", "reference": "#222222"}
+
+
+def check_plots(folder: Path) -> None:
+    """See before any work that plots can be drawn and written to a folder.
+
+    Raises:
+        ValueError: If Matplotlib is missing, or the folder cannot be written to; one sentence.
+    """
+    if importlib.util.find_spec("matplotlib") is None:
+        raise ValueError("Plots need Matplotlib, which is not installed here; leave --plots out, or install it.")
+    make_folder(folder)
 
 
 def plot_evaluation(result: Mapping[str, Any], folder: Path) -> list[Path]:
     """Draw the result of :func:`.evaluate.evaluate` into PNG files; returns their paths."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
+    pyplot = _pyplot()
     folder.mkdir(parents=True, exist_ok=True)
     frames = [entry["frame"] for entry in result["frames"]]
     paths = []
@@ -46,12 +59,55 @@ def plot_evaluation(result: Mapping[str, Any], folder: Path) -> list[Path]:
     return paths
 
 
-def _finish(figure: Any, axes: Any, path: Path) -> Path:
+def plot_influence(
+    positions: FloatArray, faces: IntArray, axes: FloatArray, maps: Mapping[str, FloatArray], title: str, path: Path
+) -> Path:
+    """Draw maps over a garment from the front and from the back, a row each, as figure 6; returns the path.
+
+    Args:
+        positions, faces: The garment [m], shape [vertex_count, 3], and its triangles.
+        axes: Columns left, up and forward of the body, shape [3, 3].
+        maps: Values from 0 to 1 by the row's title, shape [vertex_count].
+        title: Of the whole figure.
+        path: The PNG file.
+    """
+    from matplotlib.collections import PolyCollection
+
+    pyplot = _pyplot()
+    triangles = (positions @ axes)[faces]
+    figure, grid = pyplot.subplots(len(maps), 2, figsize=(9, 3.2 * len(maps)), squeeze=False)
+    for row, (name, values) in zip(grid, maps.items(), strict=True):
+        colours = influence_colours(values[faces].mean(1))
+        for side, view, place in ((1.0, "front", row[0]), (-1.0, "back", row[1])):
+            # The character's left is at the right of who looks at it; near triangles are drawn over far ones.
+            order = np.argsort(side * triangles[:, :, 2].mean(1))
+            outline = triangles[order, :, :2] * [side, 1.0]
+            place.add_collection(
+                PolyCollection(list(outline), facecolors=colours[order], edgecolors="face", linewidths=0.1)
+            )
+            place.set(xlabel=f"{name}, {view}", xticks=[], yticks=[], aspect="equal")
+            place.autoscale()
+    figure.suptitle(title)
+    figure.tight_layout()
+    figure.savefig(path, dpi=120)
+    pyplot.close(figure)
+    return path
+
+
+def _pyplot() -> Any:
+    """Matplotlib, drawing into files."""
+    import matplotlib
+
+    matplotlib.use("Agg")
     from matplotlib import pyplot
 
+    return pyplot
+
+
+def _finish(figure: Any, axes: Any, path: Path) -> Path:
     axes.legend()
     axes.grid(alpha=0.3)
     figure.tight_layout()
     figure.savefig(path, dpi=120)
-    pyplot.close(figure)
+    _pyplot().close(figure)
     return path

@@ -28,6 +28,11 @@ STEEPEST = wp.constant(2.0)
 # Below this [m] two places on the skin are one.
 SKIN = wp.constant(1.0e-4)
 NOWHERE = wp.constant(1.0e6)
+# A vertex this far below its skin [m] must be in the body, where the winding number, to this accuracy, is at least so
+# much: a half of what it is in a closed one, as under a single wall it is no more than one half.
+ACCURACY = wp.constant(2.0)
+INSIDE = wp.constant(0.25)
+SUNK = wp.constant(5.0e-4)
 
 
 @wp.struct
@@ -65,9 +70,18 @@ def is_worn(limb: wp.int32, limbs: wp.int32, facing: wp.vec3, outward: wp.vec3, 
 
 @wp.func
 def closest_worn_triangle(
-    body: BodySurface, world: wp.int32, p: wp.vec3, limbs: wp.int32, outward: wp.vec3, reach: ContactReach
+    body: BodySurface,
+    world: wp.int32,
+    p: wp.vec3,
+    limbs: wp.int32,
+    outward: wp.vec3,
+    reach: ContactReach,
+    in_front: wp.bool,
 ):
-    """The closest triangle within reach that a vertex can touch, by looking at all; -1 if there is none."""
+    """The closest triangle within reach that a vertex can touch, by looking at all; -1 if there is none.
+
+    If the vertex is known to be ``in_front`` of the body, triangles that it lies behind do not count.
+    """
     best = wp.int32(-1)
     best_weights = wp.vec3()
     best_distance = reach.radius
@@ -83,8 +97,9 @@ def closest_worn_triangle(
                 body.points[world, body.faces[candidate, 1]],
                 body.points[world, body.faces[candidate, 2]],
             )
-            distance = wp.length(p - triangle_point(body.points, body.faces, world, candidate, w))
-            if distance < best_distance:
+            away = p - triangle_point(body.points, body.faces, world, candidate, w)
+            distance = wp.length(away)
+            if distance < best_distance and not (in_front and wp.dot(away, facing) <= 0.0):
                 best = candidate
                 best_weights = w
                 best_distance = distance
@@ -156,12 +171,22 @@ def find_skin(body: BodySurface, reach: ContactReach, world: wp.int32, p: wp.vec
         facing = face_direction(body.points, body.faces, world, found)
         passed = not is_worn(body.limb[found], limbs, facing, outward, reach.least_cosine)
         if passed:
-            found, w = closest_worn_triangle(body, world, p, limbs, outward, reach)
+            found, w = closest_worn_triangle(body, world, p, limbs, outward, reach, False)
     return found, w, passed
 
 
 @wp.func
-def place_plane(
+def side_of_skin(body: BodySurface, world: wp.int32, p: wp.vec3, found: wp.int32, w: wp.vec3):
+    """The place at coordinates w of triangle ``found``, which is the closest to p [m], the unit direction outwards from
+    there, and how far along it p lies [m], negative under the skin."""
+    closest = triangle_point(body.points, body.faces, world, found, w)
+    smooth = wp.normalize(triangle_point(body.normals, body.faces, world, found, w))
+    direction = contact_normal(p, closest, smooth)
+    return closest, direction, wp.dot(p - closest, direction)
+
+
+@wp.func
+def hold_plane(
     planes: ContactPlanes,
     body: BodySurface,
     world: wp.int32,
@@ -169,22 +194,15 @@ def place_plane(
     x: wp.vec3d,
     found: wp.int32,
     w: wp.vec3,
-    deepest: wp.float32,
-) -> wp.bool:
-    """The plane that skin at triangle ``found`` and coordinates w, the closest to x, holds against it; whether there is
-    one: none where x lies under it by more than minus ``deepest`` [m]."""
-    p = wp.vec3(x)
-    closest = triangle_point(body.points, body.faces, world, found, w)
-    smooth = wp.normalize(triangle_point(body.normals, body.faces, world, found, w))
-    direction = contact_normal(p, closest, smooth)
-    gap = wp.dot(p - closest, direction)
-    if gap < deepest:
-        return False
+    closest: wp.vec3,
+    direction: wp.vec3,
+    gap: wp.float32,
+):
+    """The plane that skin holds against x: where its smooth surface points at x, if that is near the closest point."""
     set_plane(planes, world, plane, found, w, closest, direction)
     foot, v, height, turned = smooth_foot(body, world, x, found, w)
     if foot >= 0 and height * gap >= 0.0 and wp.abs(height) <= STEEPEST * wp.abs(gap):
         set_smooth_plane(planes, body, world, plane, x, foot, v, height, turned)
-    return True
 
 
 @wp.func
@@ -202,9 +220,23 @@ def find_first_plane(
     found, w, passed = find_skin(body, reach, world, wp.vec3(x), limbs, outward)
     if found < 0:
         return False
+    p = wp.vec3(x)
+    closest, direction, gap = side_of_skin(body, world, p, found, w)
     # Worn skin far above, beyond skin that is nearer and not worn, is the other side of a limb.
-    deepest = wp.where(passed, -reach.depth, -NOWHERE)
-    return place_plane(planes, body, world, vertex * PLANES, x, found, w, deepest)
+    if passed and gap < -reach.depth:
+        return False
+    # Where skinning has folded the body, skin may lie above a vertex with no body in between.
+    if gap < -SUNK:
+        around = wp.mesh_query_point_sign_winding_number(body.meshes[world], p, reach.radius, ACCURACY, INSIDE)
+        if around.result and around.sign > 0.0:
+            found, w = closest_worn_triangle(body, world, p, limbs, outward, reach, True)
+            if found < 0:
+                return False
+            closest = triangle_point(body.points, body.faces, world, found, w)
+            direction = wp.normalize(p - closest)
+            gap = wp.length(p - closest)
+    hold_plane(planes, body, world, vertex * PLANES, x, found, w, closest, direction, gap)
+    return True
 
 
 @wp.func

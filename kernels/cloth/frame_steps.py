@@ -17,8 +17,9 @@ from .contact_planes import (
     ContactPlanes,
     ContactReach,
     find_skin,
+    hold_plane,
     is_worn,
-    place_plane,
+    side_of_skin,
 )
 from .friction import tangential
 
@@ -280,13 +281,10 @@ def follow_planes(
         x = positions[0, vertex]
         face, w = walk_to_closest(body, wp.vec3(x), candidate[vertex])
         candidate[vertex] = face
-        away = x - wp.vec3d(triangle_point(body.points, body.faces, 0, face, w))
-        distance = wp.length(away)
-        outside = wp.dot(wp.vec3(away), face_direction(body.points, body.faces, 0, face)) > 0.0
-        closing = wp.max(wp.dot(x - target[0, vertex], away) / wp.max(distance, wp.float64(1.0e-9)), wp.float64(0.0))
-        if outside and distance - closing > lift[vertex] + margin:
-            return
-        if place_plane(planes, body, 0, first, x, face, w, -NOWHERE):
+        closest, direction, gap = side_of_skin(body, 0, wp.vec3(x), face, w)
+        closing = wp.max(wp.dot(x - target[0, vertex], wp.vec3d(direction)), wp.float64(0.0))
+        if wp.float64(gap) - closing < lift[vertex] + margin:
+            hold_plane(planes, body, 0, first, x, face, w, closest, direction, gap)
             planes.point[0, first] = planes.point[0, first] + lift[vertex] * planes.normal[0, first]
 
 

@@ -213,6 +213,14 @@ def test_in_a_window_the_garment_goes_without_and_the_panel_says_why(wrinkle, fi
     np.testing.assert_array_equal(evaluated_positions(sleeve()), shown)
 
 
+@pytest.mark.usefixtures("window")
+def test_files_are_never_written_without_the_coarse_layer(wrinkle, file: Path) -> None:
+    wrinkle("simulate", file, "--frames", "1:4")
+    out = file.parent / "a.pc2"
+    assert "not frame 5" in wrinkle("synthesize", file, "--out", out).complaint
+    assert not out.exists()
+
+
 # --- what changed -------------------------------------------------------------------------------------------------
 
 

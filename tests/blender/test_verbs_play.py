@@ -122,7 +122,7 @@ def test_equilibria_are_a_reference(wrinkle, file: Path) -> None:
         (("synthesize", "--frames", "5:1", "--out", "a.pc2"), "5:1 is empty"),
         (("synthesize", "--frames", "one", "--out", "a.pc2"), "FIRST:LAST"),
         (("synthesize", "--frames", "1:5:2", "--out", "a.pc2"), "holds every frame; leave the step out"),
-        (("synthesize", "--out", "a.abc"), "saved as a .pc2 file"),
+        (("simulate", "--fine", "--out", "a.abc"), "saved as a .pc2 file"),
         (("synthesize", "--out", "far/a.pc2"), "There is no folder"),
         (("synthesize", "--out", "a.pc2", "--device", "cuda:77"), "no device 'cuda:77'"),
         (("synthesize", "--out", "a.pc2", "--database", "none.wrinkles"), "There is no database"),

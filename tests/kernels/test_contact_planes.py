@@ -228,3 +228,32 @@ def test_a_convex_ridge_gives_one_plane(device):
     points = np.tile(1.05 * top, (4, 1))
     face, _point, _normal = touching(points, body, faces, device)
     assert (face[:, 0] >= 0).all() and (face[:, 1] == -1).all()
+
+
+def box(half):
+    """A closed box about the origin, its corners at +-half: vertices, triangles that face outwards."""
+    corners = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], np.int32)
+
+
+def test_skin_that_a_vertex_outside_the_body_lies_behind_does_not_hold_it(device):
+    """The closest skin that it may touch is the box's side, whose plane it lies 5 mm behind, above the box's top."""
+    body, faces = box(0.05)
+    above = np.array([[0.045, 0.0, 0.052], [0.045, 0.01, 0.052], [0.06, 0.0, 0.03], [0.06, 0.01, 0.03]])
+    top = np.arange(len(faces)) // 2 == 5
+    limbs = Limbs(top.astype(np.int32), np.ones(len(above), np.int32))
+    outward = np.array([[1.0, 0.0, 0.0]] * len(above))
+    face, _, normal = found(searching(above, body, faces, device, outward, limbs))
+    assert (face[:2, 0] == -1).all()
+    # The box's interpolated normals lean over its edges.
+    assert (face[2:, 0] // 2 == 1).all() and (normal[2:, 0] @ [1.0, 0.0, 0.0] > 0.85).all()
+
+
+def test_a_single_wall_holds_from_behind(device):
+    """A wall encloses nothing, but what has sunk into it must come out again."""
+    ground, faces = sheet(4, 4, 1.0, 1.0)
+    points = np.array([[0.4, 0.5, -0.002], [0.5, 0.5, -0.008], [0.6, 0.5, -0.02], [0.5, 0.4, 0.002]])
+    face, point, normal = touching(points, ground, faces, device)
+    assert (face[:, 0] >= 0).all()
+    assert np.abs(normal[:, 0] - [0.0, 0.0, 1.0]).max() < FLOAT32 and np.abs(point[:, 0, 2]).max() < FLOAT32

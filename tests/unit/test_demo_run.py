@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from skeletons import human
 from wrinkle_synthesis.demo import packages
 from wrinkle_synthesis.demo.picture import compose
 from wrinkle_synthesis.demo.progress import Progress, duration, time_left
@@ -13,6 +14,9 @@ from wrinkle_synthesis.demo.recipe import FULL, QUICK
 from wrinkle_synthesis.demo.report import describe_machine, to_markdown, write_report
 from wrinkle_synthesis.demo.results import Results
 from wrinkle_synthesis.demo.run import Demo, hardest_frames, run_demo
+from wrinkle_synthesis.demo.samples import choose_samples
+from wrinkle_synthesis.wrinkle_addon.joints import find_joints
+from wrinkle_synthesis.wrinkle_addon.plan import paper_plan
 
 EXPECTED = {"bake": 100.0, "film": 50.0}
 METHODS = ("skinning", "nearest", "paper", "ours")
@@ -164,7 +168,7 @@ def pictures(folder: Path, count: int, size: tuple[int, int] = (100, 120)) -> li
 def test_pictures_stand_in_their_row_and_column(tmp_path: Path) -> None:
     image = pytest.importorskip("PIL.Image")
     made = pictures(tmp_path, 4)
-    sheet = image.open(compose([made[:2], made[2:]], ["left", "right"], ["", ""], tmp_path / "new" / "sheet.png"))
+    sheet = image.open(compose([made[:2], made[2:]], ["left", "right"], [["", ""]] * 2, tmp_path / "new" / "sheet.png"))
     assert sheet.width % 2 == sheet.height % 2 == 0
     width, height = sheet.size
     corners = [(20, height - 20), (width - 20, height - 20), (20, height // 2 - 30), (width - 20, height // 2 - 30)]
@@ -174,9 +178,16 @@ def test_pictures_stand_in_their_row_and_column(tmp_path: Path) -> None:
 def test_pictures_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     mixed = [*pictures(tmp_path, 1), *pictures(tmp_path, 1, (50, 50))]
     with pytest.raises(ValueError, match="different sizes"):
-        compose([mixed], ["left", "right"], [""], tmp_path / "sheet.png")
+        compose([mixed], ["left", "right"], [["", ""]], tmp_path / "sheet.png")
     with pytest.raises(ValueError, match="a picture for each column"):
-        compose([mixed], ["left"], [""], tmp_path / "sheet.png")
+        compose([mixed], ["left"], [[""]], tmp_path / "sheet.png")
+
+
+def test_pictured_samples_come_from_all_over_the_plan() -> None:
+    plan = paper_plan([find_joints(human()).joints["elbow_L"]])
+    nodes = [sample.index[0] for sample in choose_samples(plan, 4)]
+    assert len(set(nodes)) == 4 and sorted(nodes)[0] < plan.grids[0].rest[0] < sorted(nodes)[-1]
+    assert choose_samples(plan, 100) == list(plan.simulated)
 
 
 def test_the_hardest_frames_lie_apart() -> None:
@@ -228,7 +239,7 @@ def test_the_quick_demo_makes_all_that_it_promises(tmp_path: Path) -> None:
             packages.package_folder(package)
     except packages.PackageError as error:
         pytest.skip(str(error))
-    made = run_demo(tmp_path, quick=True)
+    made = run_demo(tmp_path, QUICK)
     for name in (
         *(
             "scene.blend",
@@ -246,6 +257,6 @@ def test_the_quick_demo_makes_all_that_it_promises(tmp_path: Path) -> None:
     # Even six samples beat none.
     assert made["settle"]["rmse_mm"]["ours"] < made["settle"]["rmse_mm"]["skinning"]
     before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.pc2")}
-    again = run_demo(tmp_path, quick=True)
+    again = run_demo(tmp_path, QUICK)
     assert again["settle"] == made["settle"]
     assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.pc2")} == before

@@ -11,7 +11,7 @@ from synthesis_reference import about_axis, about_point, joined, offsets_over_sk
 from wrinkle_synthesis.wrinkle_addon import rotations
 from wrinkle_synthesis.wrinkle_addon.database import WrinkleDatabase, skin_frame
 from wrinkle_synthesis.wrinkle_addon.garment import Garment, SkinWeights
-from wrinkle_synthesis.wrinkle_addon.joint_wrinkles import Formulation, JointWrinkles, find_cell
+from wrinkle_synthesis.wrinkle_addon.joint_wrinkles import BlendWeights, Formulation, JointWrinkles, find_cell
 from wrinkle_synthesis.wrinkle_addon.plan import SamplePlan
 from wrinkle_synthesis.wrinkle_addon.rig import Pose, pose_from_local_turns, pose_of_angles
 
@@ -207,6 +207,25 @@ def test_the_window_is_one_around_the_joint_and_fades_smoothly(character: Doll, 
     assert window.min() < 0.1
     faces = wrinkled.header.garment.faces
     assert np.abs(window[faces[:, 0]] - window[faces[:, 1]]).max() < 0.2
+
+
+@pytest.mark.parametrize("formulation", [Formulation.OFFSETS, Formulation.PAPER])
+def test_measured_weights_take_the_place_of_those_by_distance(
+    character: Doll, wrinkled: WrinkleDatabase, device: str, formulation: Formulation
+):
+    method = JointWrinkles(wrinkled, formulation, BlendWeights.MEASURED)
+    strongest = np.max([method.window(name) for name in GRID], axis=0)
+    np.testing.assert_allclose(strongest, 1.0, rtol=1e-6)
+    np.testing.assert_allclose(np.sum(list(method.joint_weights().values()), axis=0), 1.0)
+    evaluator, by_distance = method.bind(device), JointWrinkles(wrinkled, formulation).bind(device)
+    reference = papers_form if formulation is Formulation.PAPER else offsets_over_skinning
+    rng = np.random.default_rng(6)
+    for _ in range(3):
+        pose = character.random_pose(rng)
+        positions = evaluator.positions(pose)
+        # Single precision; arcs near their axis lose a digit more.
+        assert np.abs(positions - reference(method, pose)).max() < 1e-5
+        assert np.abs(positions - by_distance.positions(pose)).max() > 1e-4
 
 
 # --- the paper's formulation --------------------------------------------------------------------------------------

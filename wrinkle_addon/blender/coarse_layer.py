@@ -16,7 +16,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ..aligned_wrinkles import AlignedWrinkles
-from ..coarse_cache import NotSimulated
+from ..coarse_cache import CoarseCache, NotSimulated
 from ..correspondence import Correspondence, find_correspondence
 from ..database import WrinkleDatabase
 from ..joint_wrinkles import HostArray, JointEvaluator
@@ -268,6 +268,7 @@ class CoarseBinding:
         evaluator: JointEvaluator,
         *,
         live: bool = False,
+        strict: bool = False,
     ) -> CoarseLayer | None:
         """The garment's coarse layer as it lies in the depsgraph's frame; None if it has none.
 
@@ -277,9 +278,10 @@ class CoarseBinding:
             garment: The original garment object.
             evaluator: What it is synthesised by, always the same.
             live: Whether a frame that is not simulated may be, now that the animation has come there.
+            strict: Refuse a frame that the simulation does not have in a window, too.
 
         Raises:
-            NotSimulated: In the background, if the simulation has no such frame.
+            NotSimulated: In the background or if strict, if the simulation has no such frame.
             ValueError: If the layer cannot be bound, told once found and then again without another try; one sentence.
         """
         self._missing = ""
@@ -296,7 +298,7 @@ class CoarseBinding:
         try:
             layer.read_simulated(garment, depsgraph, self._simulated, live=live)
         except NotSimulated as missing:
-            if in_background():
+            if strict or in_background():
                 raise
             self._missing = str(missing)
             return None
@@ -324,6 +326,16 @@ class CoarseBinding:
         if self._layer is None:
             raise ValueError(self._failed)
         return self._layer
+
+
+def coarse_key(garment: bpy.types.Object) -> str:
+    """Tells one simulation that a garment follows from another; empty if it follows none, or one that is not there."""
+    if garment.wrinkles.coarse_layer != SIMULATION:
+        return ""
+    try:
+        return CoarseCache.open(cache_folder(garment)).key
+    except NotSimulated:
+        return ""
 
 
 def in_background() -> bool:

@@ -77,14 +77,15 @@ def choose_armature(name: str | None = None) -> bpy.types.Object:
     return armatures[0]
 
 
-def check_output(path: Path, suffix: str = "") -> None:
+def check_output(path: Path, *suffixes: str) -> None:
     """See before any work that a file can be written.
 
     Raises:
         ValueError: If it is to be of another kind, or its folder is missing or cannot be written to; one sentence.
     """
-    if suffix and path.suffix.lower() != suffix:
-        raise ValueError(f"The result is saved as a {suffix} file, not as '{path.name}'.")
+    if suffixes and path.suffix.lower() not in suffixes:
+        kinds = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
+        raise ValueError(f"The result is saved as a {kinds} file, not as '{path.name}'.")
     folder = path.resolve().parent
     if not folder.is_dir():
         raise ValueError(f"There is no folder '{folder}' to write '{path.name}' in.")

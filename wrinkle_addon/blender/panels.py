@@ -44,6 +44,8 @@ class WRINKLE_PT_play(WrinklePanel, bpy.types.Panel):
         column.prop(settings, "strength")
         column.prop_search(settings, "mask", garment, "vertex_groups")
         column.prop(settings, "formulation")
+        column.prop(settings, "weights")
+        layout.operator("wrinkle.write_clip", icon="EXPORT")
         if settings.enabled:
             _draw_status(context, layout, garment)
 
@@ -102,6 +104,7 @@ class WRINKLE_PT_joints(WrinklePanel, bpy.types.Panel):
         if 0 <= settings.active_joint < len(settings.joints):
             _draw_joint(context, layout, settings.joints[settings.active_joint])
         layout.operator("wrinkle.take_ranges", icon="ACTION")
+        layout.operator("wrinkle.show_influence", icon="COLOR")
         for note in settings.notes.splitlines():
             _say(context, layout, note, icon="INFO")
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..database import WrinkleDatabase
 from ..folder_verbs import choose_device
-from ..joint_wrinkles import Formulation, JointWrinkles
+from ..joint_wrinkles import BlendWeights, Formulation, JointWrinkles
 from ..rig import FloatArray, Pose
 from .armature import PoseReader, rig_scale
 from .coarse_layer import CoarseBinding
@@ -35,6 +35,7 @@ class Source:
 
     database: str
     formulation: Formulation
+    weights: BlendWeights
     device: str
     armature: int
 
@@ -53,6 +54,7 @@ class Source:
         return Source(
             bpy.path.abspath(settings.database),
             Formulation[settings.formulation],
+            BlendWeights[settings.weights],
             device_name(),
             settings.armature.session_uid,
         )
@@ -83,7 +85,7 @@ class Player:
         make_writable(garment)
         # Garments that share an armature and were baked for the same rest pose share its pose, too.
         self.rig_key = (source.armature, self.database.header.rig.fingerprint())
-        self._evaluator = JointWrinkles(self.database, source.formulation).bind(device)
+        self._evaluator = JointWrinkles(self.database, source.formulation, source.weights).bind(device)
         self._positions = wp.zeros(self._evaluator.vertex_count, dtype=wp.vec3, device=device)
         on_cpu = self._positions.device.is_cpu
         self._host = self._positions if on_cpu else wp.zeros_like(self._positions, device="cpu", pinned=True)

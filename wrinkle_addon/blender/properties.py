@@ -10,7 +10,7 @@ import numpy as np
 from ..coarse_cache import SUFFIX
 from ..coarse_simulation import CoarseSettings
 from ..fabrics import FABRICS, Fabric, find_fabric
-from ..joint_wrinkles import Formulation
+from ..joint_wrinkles import BlendWeights, Formulation
 from ..rig import Joint
 from ..wearer import BakeSettings
 from . import playback
@@ -264,6 +264,16 @@ class GarmentSettings(bpy.types.PropertyGroup):
         subtype="FACTOR",
         options={"ANIMATABLE"},
         description="How much of the coarse layer's motion the garment takes on",
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+    weights: bpy.props.EnumProperty(
+        name="Blend Weights",
+        items=[
+            (BlendWeights.DISTANCE.name, "By Distance", "Each joint reaches as far as its regions are near"),
+            (BlendWeights.MEASURED.name, "Measured", "Each joint reaches as far as its samples change the cloth"),
+        ],
+        default=BlendWeights.DISTANCE.name,
         override=_OVERRIDABLE,
         update=_played_anew,
     )

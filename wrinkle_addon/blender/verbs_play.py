@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
 from ..bake import BakeJob
@@ -18,18 +16,19 @@ from ..database import MANIFEST, WrinkleDatabase
 from ..evaluate import EvaluatedFrame, worst_of
 from ..evaluate import evaluate as evaluate_frames
 from ..folder_verbs import choose_device
-from ..joint_wrinkles import Formulation, JointWrinkles
+from ..joint_wrinkles import BlendWeights, Formulation
 from ..losses import LossFinder, mean_losses
 from ..pc2 import PointCache, write_pc2
+from ..plots import check_plots, plot_evaluation
 from ..reference import SettledReference, SimulationSettings, simulate_clip
 from ..rig import FloatArray, Pose
-from ..storage import make_folder
 from ..wearer import Wearer
 from .character import SamplingStage, apply, sampling_stage
-from .clip import ClipFrame, read_clip
-from .coarse_layer import CoarseBinding
-from .files import check_output
+from .clip import ClipFrame, parse_frames, read_clip
+from .clip_synthesis import CACHE, ClipSynthesis, check_result, write_clip, write_parts
+from .files import check_output, save_character
 from .matching import check_database
+from .mesh_cache import play_cache
 from .setup import stage_job
 from .verb_options import find_database, find_frames, find_garment, open_file, say
 from .verbs_coarse import simulate_coarse
@@ -39,35 +38,58 @@ Shapes = Iterator[tuple[FloatArray, Mapping[str, Any]]]
 
 
 def synthesize(options: argparse.Namespace) -> Mapping[str, Any]:
+    """A finished clip, or a part of it."""
     device = choose_device(options.device)
-    check_output(options.out, ".pc2")
+    check_result(options.out)
+    if options.blend is not None:
+        check_output(options.blend, ".blend")
+        if options.out.suffix.lower() != CACHE or options.part:
+            raise ValueError(f"With --blend, the whole clip is written, and as a {CACHE} file.")
     open_file(options)
-    garment, frames = find_garment(options), find_frames(options, every=True)
-    settings = garment.wrinkles
-    database = WrinkleDatabase.open(find_database(options, garment))
-    scale = check_database(garment, database.header)
-    formulation = Formulation(options.formulation) if options.formulation else Formulation[settings.formulation]
-    evaluator = JointWrinkles(database, formulation).bind(device)
-    coarse = CoarseBinding(database)
-    out = wp.zeros(evaluator.vertex_count, dtype=wp.vec3, device=device)
-    clamped: dict[str, float] = {}
+    garment, listed = find_garment(options), find_frames(options, every=True)
+    frames = range(listed[0], listed[-1] + 1)
+    part = _part(options.part, frames) if options.part else frames
+    formulation = Formulation(options.formulation) if options.formulation else None
+    synthesis = ClipSynthesis(garment, find_database(options, garment), formulation, _weights(options, garment), device)
+    key, made = synthesis.file_key(), 0
 
-    def positions() -> Iterator[NDArray[np.float32]]:
-        for clip in read_clip(garment, database.header.rig, frames, scale):
-            # Strengths may be animated.
-            layer = coarse.read(garment, bpy.context.evaluated_depsgraph_get(), evaluator)
-            if layer is None:
-                evaluator.evaluate(clip.pose, out, settings.strengths(), clip.rig_to_garment)
-            else:
-                layer.evaluate(clip.pose, out, settings.strengths(), clip.rig_to_garment)
-            for name, beyond in evaluator.clamped.items():
-                clamped[name] = max(clamped.get(name, 0.0), math.degrees(float(np.abs(beyond).max())))
-            yield out.numpy()
+    def report(stretch: range) -> None:
+        nonlocal made
+        made += len(stretch)
+        say(f"frames {stretch.start} to {stretch.stop - 1}")
 
-    write_pc2(options.out, database.header.garment.vertex_count, frames[0], positions(), len(frames))
-    text = [f"{len(frames)} frames written to {options.out}."]
-    text += [f"{name} goes {angle:.0f} degrees beyond its samples." for name, angle in clamped.items()]
-    return {"frames": len(frames), "cache": str(options.out), "clamped_deg": clamped, "text": "\n".join(text)}
+    if options.part:
+        write_parts(synthesis, part, options.out, key, report)
+    else:
+        write_clip(synthesis, frames, options.out, key, report)
+    if options.blend is not None:
+        play_cache(garment, options.out, frames.start)
+        save_character(options.blend)
+    whole = f"Frames {part.start} to {part.stop - 1} of" if options.part else f"{len(frames)} frames written to"
+    text = [f"{whole} {options.out}{' are there' if options.part else ''}."]
+    text += [f"{name} goes {angle:.0f} degrees beyond its samples." for name, angle in synthesis.clamped_deg.items()]
+    return {
+        "frames": len(part),
+        "made": made,
+        "cache": str(options.out),
+        "clamped_deg": synthesis.clamped_deg,
+        "text": "\n".join(text),
+    }
+
+
+def _part(text: str, frames: range) -> range:
+    """Some of the frames, of "A:B"."""
+    part = parse_frames(text)
+    if text.count(":") != 1:
+        raise ValueError(f"A part is given as FIRST:LAST, not '{text}'.")
+    if part[0] not in frames or part[-1] not in frames:
+        raise ValueError(f"The part {text} is not within the frames {frames.start} to {frames.stop - 1}.")
+    return range(part[0], part[-1] + 1)
+
+
+def _weights(options: argparse.Namespace, garment: bpy.types.Object) -> BlendWeights:
+    """The weights that are named, or those that the garment remembers."""
+    return BlendWeights(options.weights) if options.weights else BlendWeights[garment.wrinkles.weights]
 
 
 def simulate(options: argparse.Namespace) -> Mapping[str, Any]:
@@ -156,7 +178,7 @@ def evaluate(options: argparse.Namespace) -> Mapping[str, Any]:
     if options.losses and options.reference != "settle":
         raise ValueError("Losses are told apart at the equilibrium; use --losses with --reference settle.")
     if options.plots is not None:
-        make_folder(options.plots)
+        check_plots(options.plots)
     open_file(options)
     garment, frames = find_garment(options), find_frames(options)
     database = WrinkleDatabase.open(find_database(options, garment))
@@ -181,10 +203,9 @@ def evaluate(options: argparse.Namespace) -> Mapping[str, Any]:
                 upright, root = clip.pose.with_root_at_rest(stage.rig)
                 yield EvaluatedFrame(clip.frame, clip.pose, shape, apply(root, stage.positions(upright)), report)
 
-        result = evaluate_frames(database, compared(), job.body.faces, device)
+        weights = _weights(options, garment)
+        result = evaluate_frames(database, compared(), job.body.faces, device, weights)
     if options.plots is not None:
-        from ..plots import plot_evaluation
-
         result["plots"] = [str(path) for path in plot_evaluation(result, options.plots)]
     rows = [
         f"{name:10} {value:8.2f} mm RMS  {result['max_mm'][name]:8.2f} mm max"

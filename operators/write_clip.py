@@ -1,0 +1,90 @@
+"""The finished garment in a file that needs no add-on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ..wrinkle_addon.blender.clip_synthesis import CACHE, ClipSynthesis, check_result, write_clip
+from ..wrinkle_addon.blender.files import database_folder
+from ..wrinkle_addon.blender.handlers import suspended
+from ..wrinkle_addon.blender.mesh_cache import play_cache
+from ..wrinkle_addon.blender.preferences import device_name
+from ..wrinkle_addon.blender.properties import active_garment
+from ..wrinkle_addon.folder_verbs import choose_device
+
+
+class WRINKLE_OT_write_clip(bpy.types.Operator):
+    """Write the wrinkled garment over a range of frames as a point cache, as Alembic or as USD"""
+
+    bl_idname = "wrinkle.write_clip"
+    bl_label = "Write Garment"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender wants a plain set
+
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", description="A .pc2, .abc, .usd, .usdc or .usda file")
+    filter_glob: bpy.props.StringProperty(default="*.pc2;*.abc;*.usd;*.usdc;*.usda", options={"HIDDEN"})
+    frame_start: bpy.props.IntProperty(name="From", description="First frame")
+    frame_end: bpy.props.IntProperty(name="To", description="Last frame")
+    play: bpy.props.BoolProperty(
+        name="Play the Cache",
+        default=False,
+        description="Let the garment play the point cache with Blender's Mesh Cache modifier from now on",
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        garment = active_garment(context)
+        return garment is not None and bool(garment.wrinkles.database)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        garment = active_garment(context)
+        assert garment is not None
+        if not self.properties.is_property_set("frame_start"):
+            self.frame_start, self.frame_end = context.scene.frame_start, context.scene.frame_end
+        if not self.filepath:
+            self.filepath = bpy.path.abspath(f"//{bpy.path.clean_name(garment.name)}{CACHE}")
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        garment = active_garment(context)
+        assert garment is not None
+        manager, done = context.window_manager, 0
+        if self.properties.is_property_set("frame_start"):
+            frames = range(self.frame_start, self.frame_end + 1)
+        else:
+            frames = range(context.scene.frame_start, context.scene.frame_end + 1)
+
+        def report(made: range) -> None:
+            nonlocal done
+            done += len(made)
+            manager.progress_update(done)
+
+        manager.progress_begin(0, max(len(frames), 1))
+        try:
+            out = Path(bpy.path.abspath(self.filepath))
+            check_result(out)
+            if garment.data.is_editmode:
+                raise ValueError("Leave edit mode first: what is edited cannot be written.")
+            if not frames:
+                raise ValueError("The frame range is empty; give a first frame that is not after the last.")
+            if self.play and out.suffix.lower() != CACHE:
+                raise ValueError(f"Blender's Mesh Cache modifier plays a {CACHE} file; write one.")
+            with suspended():
+                synthesis = ClipSynthesis(garment, database_folder(garment), device=choose_device(device_name()))
+                # The file may have changed since it was saved, so parts of other runs are none of ours.
+                write_clip(synthesis, frames, out, None, report)
+                if self.play:
+                    play_cache(garment, out, frames.start)
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        finally:
+            manager.progress_end()
+            garment.update_tag()
+        self.report({"INFO"}, f"{len(frames)} frames written to {out}.")
+        return {"FINISHED"}
+
+
+classes = (WRINKLE_OT_write_clip,)
