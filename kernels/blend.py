@@ -97,6 +97,8 @@ def add_joint(
     sums: Sums,
 ):
     """Interpolate a joint's offsets multilinearly on every vertex of a block, and add them to the sums."""
+    if start[0] < 0:
+        return
     for entry in range(samples.entry_start[joint, block], samples.entry_start[joint, block + 1]):
         offset = wp.vec3()
         # Unrolled, with starts and weights in registers.

@@ -43,6 +43,7 @@ def downsample_offsets(
     members: wp.array[wp.int32],
     weights: wp.array[wp.float32],
     as_published: wp.bool,
+    strength: wp.float32,
     # outputs
     offsets: wp.array2d[wp.vec3],
 ):
@@ -50,7 +51,7 @@ def downsample_offsets(
 
     ``weights`` are a_uv over their sum; a coarse vertex without fine ones has no offset, and nothing takes it up. As
     published the offset is from the fine vertices to v itself, which is not zero where the two meshes coincide; here
-    it is to where each of them lies on the coarse mesh.
+    it is to where each of them lies on the coarse mesh. ``strength`` is the share of the way that is gone.
     """
     mesh, v = wp.tid()
     total = wp.vec3()
@@ -60,7 +61,7 @@ def downsample_offsets(
         if as_published:
             target = coarse[v]
         total += weights[k] * (target - meshes[mesh, u])
-    offsets[mesh, v] = total
+    offsets[mesh, v] = strength * total
 
 
 @wp.kernel

@@ -8,7 +8,16 @@ from types import ModuleType
 import bpy
 
 from ..wrinkle_addon.blender import command, handlers, panels, preferences, properties
-from . import bake, cancel_bake, setup_garment, show_influence, take_ranges, write_clip
+from . import (
+    bake,
+    cancel_bake,
+    make_coarse_mesh,
+    setup_garment,
+    show_influence,
+    simulate_coarse,
+    take_ranges,
+    write_clip,
+)
 
 MODULES: Sequence[ModuleType] = (
     preferences,
@@ -18,6 +27,8 @@ MODULES: Sequence[ModuleType] = (
     show_influence,
     bake,
     cancel_bake,
+    make_coarse_mesh,
+    simulate_coarse,
     write_clip,
     panels,
     handlers,

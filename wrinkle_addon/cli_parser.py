@@ -62,6 +62,10 @@ def _add_character_verbs(add: AddVerb) -> None:
     setup.add_argument("--ease", metavar="GIRTH,LENGTH", help="extra cloth in percent, such as 3,4")
     setup.add_argument("--fabric", metavar="NAME", help=f"what it is made of: {', '.join(FABRICS)}")
     setup.add_argument("--pins", help="vertex group of the garment that is held to the skin")
+    setup.add_argument(
+        "--coarse", metavar="OBJECT|simulate:OBJECT|make[:COUNT]",
+        help="let the garment follow this mesh, a simulation of it, or one of a coarse mesh made now, of 700 vertices",
+    )  # fmt: skip
     setup.add_argument("--out", type=Path, required=True, help="the .blend file to write")
 
     joints = add(
@@ -125,11 +129,13 @@ def _add_clip_verbs(add: AddVerb) -> None:
         "--out", type=Path, required=True, help="the .pc2, .abc, .usd, .usdc or .usda file to write"
     )
 
-    simulate = add("simulate", "simulate the clip into a PC2 point cache", *clip)
-    simulate.add_argument("--fine", action="store_true", help="the full simulation of the garment itself")
-    simulate.add_argument("--substeps", type=int, default=4, help="steps a frame")
-    simulate.add_argument("--pre-roll", type=float, default=0.3, help="seconds in the first pose before the clip")
-    simulate.add_argument("--out", type=Path, required=True, help="the .pc2 file to write")
+    simulate = add("simulate", "simulate the coarse layer over the clip into its cache, or the garment in full", *clip)
+    simulate.add_argument("--fine", action="store_true", help="the full simulation, into a PC2 point cache")
+    simulate.add_argument("--substeps", type=int, default=4, help="with --fine: steps a frame")
+    simulate.add_argument(
+        "--pre-roll", type=float, default=0.3, help="with --fine: seconds in the first pose before the clip"
+    )
+    simulate.add_argument("--out", type=Path, help="with --fine: the .pc2 file to write")
 
     evaluate = add("evaluate", "errors against a reference", *clip)
     evaluate.add_argument("--reference", default="settle", help="settle, simulate, or a CACHE.pc2 of the garment")

@@ -133,23 +133,24 @@ class DetailTransfer:
     def fine_count(self) -> int:
         return self._carried.shape[0]
 
-    def align(self, coarse: wp.array, positions: wp.array) -> None:
+    def align(self, coarse: wp.array, positions: wp.array, strength: float = 1.0) -> None:
         """Bring a synthesised garment into line with the coarse layer, in place.
 
         Args:
             coarse: Where the coarse layer lies [m], array of vec3, shape [coarse_count].
             positions: The garment [m], array of vec3, shape [fine_count].
+            strength: How far it goes, from 0, not at all, to 1.
         """
-        self.align_all(coarse, positions.reshape((1, self.fine_count)))
+        self.align_all(coarse, positions.reshape((1, self.fine_count)), strength)
 
-    def align_all(self, coarse: wp.array, meshes: wp.array) -> None:
+    def align_all(self, coarse: wp.array, meshes: wp.array, strength: float = 1.0) -> None:
         """:meth:`align` for several meshes of the garment, each by itself, shape [mesh_count, fine_count]."""
         if self._offsets.shape[0] != meshes.shape[0]:
             shape = (meshes.shape[0], self._coarse_count)
             self._offsets = wp.zeros(shape, dtype=wp.vec3, device=self.device)
         inputs = [coarse, self._corners, self._places]
         wp.launch(place_on_coarse, self.fine_count, inputs, [self._carried], device=self.device)
-        inputs = [coarse, self._carried, meshes, *self._members, self.settings.as_published]
+        inputs = [coarse, self._carried, meshes, *self._members, self.settings.as_published, strength]
         wp.launch(downsample_offsets, self._offsets.shape, inputs, [self._offsets], device=self.device)
         self._launch(upsample_offsets, [self._offsets, *self._rows], [meshes])
 

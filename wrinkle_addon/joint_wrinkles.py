@@ -283,8 +283,8 @@ class OffsetEvaluator(JointEvaluator):
             corner = 0
             place = replace(cell, fraction=np.round(cell.fraction)) if self._nearest else cell
             for node, weight in corner_nodes(place):
-                # The rest sample is all zeros and is not stored.
-                if weight > 0.0 and node != grid.rest:
+                # The rest sample is all zeros and is not stored; a joint without strength need not be read.
+                if weight * self._strength.host[number] != 0.0 and node != grid.rest:
                     self._corner_start.host[number, corner] = self._starts[number][node]
                     self._corner_weight.host[number, corner] = weight
                     corner += 1

@@ -18,6 +18,7 @@ from ..joint_wrinkles import BlendWeights, Formulation, JointWrinkles
 from ..storage import content_key, file_hash
 from .clearance import BodyClearance
 from .clip import read_clip
+from .coarse_layer import CoarseBinding, coarse_key
 from .exporters import EXPORTERS, check_exporter, export_garment
 from .files import check_output
 from .matching import check_database
@@ -70,6 +71,8 @@ class ClipSynthesis:
         self._weights = weights or BlendWeights[settings.weights]
         self._evaluator = JointWrinkles(self._database, self._formulation, self._weights).bind(device)
         self._clearance = BodyClearance(self._database, device)
+        self._coarse = CoarseBinding(self._database)
+        self._positions = wp.zeros(self._evaluator.vertex_count, dtype=wp.vec3, device=self._evaluator.device)
         self.notes: dict[str, int] = {}
 
     @property
@@ -80,17 +83,19 @@ class ClipSynthesis:
         """The garment in its object space in every frame, shape [vertex_count, 3] each."""
         for clip in read_clip(self.garment, self._database.header.rig, frames, self._scale):
             # Strengths may be animated.
-            found = wp.zeros(self.vertex_count, dtype=wp.vec3, device=self._evaluator.device)
-            self._evaluator.evaluate(clip.pose, found, self.garment.wrinkles.strengths(), clip.rig_to_garment)
-            body = self._clearance.read(self.garment, bpy.context.evaluated_depsgraph_get(), self._scale)
+            strengths = self.garment.wrinkles.strengths()
+            depsgraph = bpy.context.evaluated_depsgraph_get()
+            layer = self._coarse.read(self.garment, depsgraph, self._evaluator, strict=True)
+            (layer or self._evaluator).evaluate(clip.pose, self._positions, strengths, clip.rig_to_garment)
+            body = self._clearance.read(self.garment, depsgraph, self._scale)
             if body is not None:
-                self._clearance.clear(body, found, clip.rig_to_garment)
+                self._clearance.clear(body, self._positions, clip.rig_to_garment)
             if self._clearance.note:
                 self.notes[self._clearance.note] = self.notes.get(self._clearance.note, 0) + 1
             for name, beyond in self._evaluator.clamped.items():
                 angle = math.degrees(float(np.abs(beyond).max()))
                 self.clamped_deg[name] = max(self.clamped_deg.get(name, 0.0), angle)
-            yield found.numpy()
+            yield self._positions.numpy().copy()
 
     def file_key(self) -> str:
         """Hash of the open file, of those linked into it, and of all else that decides what is written."""
@@ -103,6 +108,7 @@ class ClipSynthesis:
                 "database": self._database.header.key,
                 "formulation": self._formulation.value,
                 "weights": self._weights.value,
+                "coarse": coarse_key(self.garment),
             }
         )
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import bpy
 from bpy.app.handlers import persistent
 
-from . import playback
+from . import coarse_playing, playback
 from .node_group import NO_FRAME, find_modifier, get_input, set_input
 from .write import show_skinned, wake_skinning
 
@@ -59,6 +59,16 @@ def play_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None) ->
         sys.stderr.flush()
         # Leaving by an exception takes Python down inside a render, where some versions hang.
         os._exit(RENDER_FAILED)
+    if coarse_playing.has_wishes() and not bpy.app.timers.is_registered(_grant_wishes):
+        bpy.app.timers.register(_grant_wishes, first_interval=0.0)
+
+
+def _grant_wishes() -> None:
+    """Build simulations between two frames, and go on with them from the frame that stands."""
+    with suspended():
+        coarse_playing.grant_wishes()
+    scene = bpy.context.scene
+    scene.frame_set(scene.frame_current)
 
 
 @persistent
@@ -165,8 +175,9 @@ def register() -> None:
 def unregister() -> None:
     """Remove the handlers; garments go back to their skinned shape."""
     _remove_handlers()
-    if bpy.app.timers.is_registered(_tag_garments):
-        bpy.app.timers.unregister(_tag_garments)
+    for timer in (_tag_garments, _grant_wishes):
+        if bpy.app.timers.is_registered(timer):
+            bpy.app.timers.unregister(timer)
     playback.forget_all()
     # A registration that is taken back while Blender starts has no data to look at.
     if hasattr(bpy.data, "objects"):

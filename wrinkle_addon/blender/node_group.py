@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import bpy
 
 MODIFIER = "Wrinkles"
-VERSION = 1
+VERSION = 2
 """Raised whenever the node group changes, so that an older one in a file is replaced."""
 GROUP = f"{MODIFIER} {VERSION}"
 ATTRIBUTE = "wrinkle_position"
@@ -21,6 +22,8 @@ _INPUTS = (
     ("Mask", 1.0, "The same for each vertex: a number, or a vertex group"),
     ("Frame", NO_FRAME, "Frame that the stored positions belong to"),
 )
+_OBJECTS = ("Coarse", "Body")
+"""What a modifier names is evaluated with it, wherever it is hidden; naming is all that these inputs do."""
 
 
 # --- the modifier -------------------------------------------------------------------------------------------------
@@ -48,7 +51,7 @@ def add_modifier(garment: bpy.types.Object) -> bpy.types.NodesModifier:
     return modifier
 
 
-def set_input(modifier: bpy.types.NodesModifier, name: str, value: float) -> None:
+def set_input(modifier: bpy.types.NodesModifier, name: str, value: float | bpy.types.Object | None) -> None:
     """Set an input of the modifier; the garment is evaluated anew only once it is tagged."""
     identifier = _identifier(modifier, name)
     if _inputs_are_properties():
@@ -57,7 +60,7 @@ def set_input(modifier: bpy.types.NodesModifier, name: str, value: float) -> Non
         modifier[identifier] = value
 
 
-def get_input(modifier: bpy.types.NodesModifier, name: str) -> float:
+def get_input(modifier: bpy.types.NodesModifier, name: str) -> Any:
     """Value of an input of the modifier."""
     identifier = _identifier(modifier, name)
     if _inputs_are_properties():
@@ -123,6 +126,9 @@ def _build_group() -> bpy.types.GeometryNodeTree:
             socket.hide_in_modifier = True
         else:
             socket.min_value, socket.max_value, socket.subtype = 0.0, 1.0, "FACTOR"
+    for name in _OBJECTS:
+        socket = group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketObject")
+        socket.hide_in_modifier = True
     nodes, link = group.nodes, group.links.new
     inputs = nodes.new("NodeGroupInput").outputs
     played = nodes.new("GeometryNodeInputNamedAttribute")

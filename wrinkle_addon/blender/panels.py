@@ -10,6 +10,8 @@ import numpy as np
 
 from . import playback
 from .bake_process import running
+from .coarse_layer import NONE
+from .coarse_scene import SIMULATION
 from .properties import OWN_FABRIC, GarmentSettings, JointSettings, active_garment
 
 
@@ -65,8 +67,9 @@ def _draw_status(context: bpy.types.Context, layout: bpy.types.UILayout, garment
     for name, beyond in status.player.clamped.items():
         angle = float(np.degrees(np.abs(beyond).max()))
         layout.label(text=f"{name} is {angle:.0f}° beyond its samples", icon="INFO")
-    if status.player.note:
-        _say(context, layout, status.player.note, icon="INFO")
+    for note in (status.player.coarse.note, status.player.note):
+        if note:
+            _say(context, layout, note, icon="INFO")
     layout.label(text=status.player.summary)
 
 
@@ -121,6 +124,36 @@ def _draw_joint(context: bpy.types.Context, layout: bpy.types.UILayout, joint: J
         row.label(text=name)
         row.prop(joint, "low", index=axis, text="")
         row.prop(joint, "high", index=axis, text="")
+
+
+class WRINKLE_PT_coarse(WrinklePanel, bpy.types.Panel):
+    """What the garment follows where it moves as a whole"""
+
+    bl_label = "Coarse Layer"
+    bl_parent_id = "WRINKLE_PT_play"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return active_garment(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, garment = self.layout, active_garment(context)
+        assert garment is not None
+        settings = garment.wrinkles
+        layout.operator("wrinkle.make_coarse_mesh", icon="MOD_DECIM")
+        column = layout.column()
+        column.use_property_split = True
+        column.prop(settings, "coarse_layer", text="Follow")
+        if settings.coarse_layer != NONE:
+            column.prop(settings, "coarse")
+            column.prop(settings, "follow", text="How Far")
+        if settings.coarse_layer == SIMULATION:
+            column.separator()
+            for name in ("coarse_cache", "coarse_order", "coarse_steps", "coarse_buffer", "coarse_damping"):
+                column.prop(settings, name)
+            for name in ("coarse_pre_roll", "coarse_proxy"):
+                column.prop(settings, name)
+            layout.operator("wrinkle.simulate_coarse", icon="PHYSICS")
 
 
 class WRINKLE_PT_bake(WrinklePanel, bpy.types.Panel):
@@ -180,4 +213,11 @@ def _say(context: bpy.types.Context, layout: bpy.types.UILayout, text: str, icon
         column.label(text=line, icon=icon if number == 0 else "NONE")
 
 
-classes = (WRINKLE_UL_joints, WRINKLE_PT_play, WRINKLE_PT_joints, WRINKLE_PT_bake, WRINKLE_PT_fabric)
+classes = (
+    WRINKLE_UL_joints,
+    WRINKLE_PT_play,
+    WRINKLE_PT_joints,
+    WRINKLE_PT_coarse,
+    WRINKLE_PT_bake,
+    WRINKLE_PT_fabric,
+)

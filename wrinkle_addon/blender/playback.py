@@ -23,6 +23,7 @@ from ..joint_wrinkles import BlendWeights, Formulation, JointWrinkles
 from ..rig import FloatArray, Pose
 from .armature import PoseReader, rig_scale
 from .clearance import BodyClearance
+from .coarse_layer import CoarseBinding
 from .matching import check_mesh, match_rig
 from .node_group import find_modifier, shows_all
 from .preferences import device_name
@@ -68,6 +69,7 @@ class Player:
         source: The source that its settings name.
 
     Attributes:
+        coarse: The garment's coarse layer.
         clamped: Joints that went beyond their samples in the last pose, and by how much [rad].
 
     Raises:
@@ -78,6 +80,7 @@ class Player:
         device = choose_device(source.device)
         self.source = source
         self.database = WrinkleDatabase.open(Path(source.database))
+        self.coarse = CoarseBinding(self.database)
         self.doubt()
         self.check(garment)
         make_writable(garment)
@@ -127,6 +130,7 @@ class Player:
     def doubt(self) -> None:
         """Check and play again, whatever seems unchanged: the file's data was replaced."""
         self._checked = self._inputs = None
+        self.coarse.doubt()
 
     def read_pose(self, armature: bpy.types.Object) -> Pose:
         """The pose of the evaluated armature in the metres of the bake."""
@@ -149,12 +153,14 @@ class Player:
         placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
         strengths = evaluated.wrinkles.strengths()
         frame = depsgraph.scene.frame_current_final
+        layer = self.coarse.read(garment, depsgraph, self._evaluator, live=not only_changes)
         body = self._clearance.read(garment, depsgraph, self._scale)
+        coarse = None if layer is None else (layer.positions.tobytes(), layer.follow)
         around = None if body is None else (body.tobytes(), garment.wrinkles.clearance)
-        inputs = (pose.matrices.tobytes(), placement.tobytes(), strengths, frame, around)
+        inputs = (pose.matrices.tobytes(), placement.tobytes(), strengths, frame, coarse, around)
         if only_changes and inputs == self._inputs:
             return
-        self._evaluator.evaluate(pose, self._positions, strengths, placement)
+        (layer or self._evaluator).evaluate(pose, self._positions, strengths, placement)
         if body is not None:
             self._clearance.clear(body, self._positions, placement)
         if self._host is not self._positions:

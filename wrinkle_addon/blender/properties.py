@@ -7,12 +7,16 @@ import json
 import bpy
 import numpy as np
 
+from ..coarse_cache import SUFFIX
+from ..coarse_simulation import CoarseSettings
 from ..fabrics import FABRICS, Fabric, find_fabric
 from ..joint_wrinkles import BlendWeights, Formulation
 from ..penetration import ClearanceSettings
 from ..rig import Joint
 from ..wearer import BakeSettings
 from . import playback
+from .coarse_layer import MESH, NONE, choose_coarse, tie_coarse
+from .coarse_scene import SIMULATION
 from .node_group import add_modifier, set_mask
 from .write import show_skinned
 
@@ -24,6 +28,11 @@ PLANS = (
     ("BUDGET", "Budget", "The finest plan that keeps to a number of simulated samples"),
 )
 
+COARSE_LAYERS = (
+    (NONE, "None", "The garment moves as its armature does"),
+    (MESH, "Mesh", "Any mesh that moves: a cloth simulation, a Surface Deform rig, a cache, a skinned mesh"),
+    (SIMULATION, "Simulation", "A simulation of the coarse mesh, from its cache"),
+)
 
 OWN_FABRIC = "OWN"
 
@@ -39,6 +48,23 @@ def _switched(settings: GarmentSettings, context: bpy.types.Context) -> None:
     if not settings.enabled:
         show_skinned(settings.id_data)
     _played_anew(settings, context)
+
+
+def _layered(settings: GarmentSettings, context: bpy.types.Context) -> None:
+    if settings.coarse_layer == SIMULATION and not settings.coarse_cache and settings.armature is not None:
+        settings.coarse_cache = f"//{bpy.path.clean_name(settings.armature.name)}{SUFFIX}"
+    tie_coarse(settings.id_data)
+    _played_anew(settings, context)
+
+
+def _coarse_chosen(settings: GarmentSettings, context: bpy.types.Context) -> None:
+    choose_coarse(settings.id_data)
+    playback.forget(settings.id_data)
+    settings.id_data.update_tag()
+
+
+def _may_be_coarse(settings: GarmentSettings, ob: bpy.types.Object) -> bool:
+    return ob.type == "MESH" and ob != settings.id_data
 
 
 def _masked(settings: GarmentSettings, context: bpy.types.Context) -> None:
@@ -148,6 +174,100 @@ class GarmentSettings(bpy.types.PropertyGroup):
         override=_OVERRIDABLE,
         update=_played_anew,
     )
+    coarse_layer: bpy.props.EnumProperty(
+        name="Coarse Layer",
+        items=COARSE_LAYERS,
+        default=NONE,
+        description="What the garment follows where it moves as a whole",
+        options=set(),
+        override=_OVERRIDABLE,
+        update=_layered,
+    )
+    coarse: bpy.props.PointerProperty(
+        type=bpy.types.Object,
+        name="Coarse Mesh",
+        description="As modelled, it lies on the garment; choose it where both stand as they were modelled",
+        poll=_may_be_coarse,
+        override=_OVERRIDABLE,
+        update=_coarse_chosen,
+    )
+    coarse_place: bpy.props.FloatVectorProperty(
+        size=16, options={"HIDDEN"}, override=_OVERRIDABLE, description="The coarse mesh in the garment's space"
+    )
+    coarse_cache: bpy.props.StringProperty(
+        name="Cache",
+        subtype="DIR_PATH",
+        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
+        description="Folder of the simulated frames; garments of one character that name the same one collide",
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+    coarse_order: bpy.props.IntProperty(
+        name="Layer",
+        default=0,
+        min=0,
+        description="0 is worn next to the skin, higher numbers over lower ones",
+        options=set(),
+        update=_played_anew,
+    )
+    coarse_steps: bpy.props.IntProperty(
+        name="Steps",
+        default=CoarseSettings().steps,
+        min=1,
+        soft_max=10,
+        description="Time steps a frame",
+        options=set(),
+        update=_played_anew,
+    )
+    coarse_buffer: bpy.props.FloatProperty(
+        name="Buffer",
+        default=CoarseSettings().buffer,
+        min=1e-4,
+        soft_max=0.02,
+        precision=4,
+        description="Distance from the body that leaves room for wrinkles, m",
+        options=set(),
+        update=_played_anew,
+    )
+    coarse_damping: bpy.props.FloatProperty(
+        name="Damping",
+        default=CoarseSettings().damping,
+        min=0.0,
+        soft_max=10.0,
+        description="How fast motion relative to the skinned garment fades, 1/s",
+        options=set(),
+        update=_played_anew,
+    )
+    coarse_pre_roll: bpy.props.FloatProperty(
+        name="Pre-Roll",
+        default=CoarseSettings().pre_roll,
+        min=0.0,
+        soft_max=2.0,
+        description="Time in the first pose before the motion begins, s",
+        options=set(),
+        update=_played_anew,
+    )
+    coarse_proxy: bpy.props.IntProperty(
+        name="Body Proxy",
+        default=0,
+        min=0,
+        soft_max=20_000,
+        options=set(),
+        description="Vertices of a coarser body to collide with, such as 10,000; 0 for the body itself. "
+        "The innermost layer's counts",
+        update=_played_anew,
+    )
+    follow: bpy.props.FloatProperty(
+        name="Follow",
+        default=1.0,
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
+        options={"ANIMATABLE"},
+        description="How much of the coarse layer's motion the garment takes on",
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
     weights: bpy.props.EnumProperty(
         name="Blend Weights",
         items=[
@@ -232,6 +352,16 @@ class GarmentSettings(bpy.types.PropertyGroup):
         """How samples of this garment are simulated."""
         return BakeSettings(
             fabric=self._chosen_fabric(), ease=(_decimal(self.ease_girth) / 100, _decimal(self.ease_length) / 100)
+        )
+
+    def coarse_settings(self) -> CoarseSettings:
+        """How the coarse mesh of this garment is simulated."""
+        return CoarseSettings(
+            fabric=self._chosen_fabric(),
+            steps=self.coarse_steps,
+            buffer=_decimal(self.coarse_buffer),
+            damping=_decimal(self.coarse_damping),
+            pre_roll=_decimal(self.coarse_pre_roll),
         )
 
     def _chosen_fabric(self) -> Fabric:

@@ -33,6 +33,7 @@ from .matching import check_database
 from .mesh_cache import play_cache
 from .setup import stage_job
 from .verb_options import find_database, find_frames, find_garment, open_file, say
+from .verbs_coarse import simulate_coarse
 
 Shapes = Iterator[tuple[FloatArray, Mapping[str, Any]]]
 """The garment in rig space [m], shape [vertex_count, 3], frame by frame, and what there is to say of it."""
@@ -96,8 +97,12 @@ def _weights(options: argparse.Namespace, garment: bpy.types.Object) -> BlendWei
 
 
 def simulate(options: argparse.Namespace) -> Mapping[str, Any]:
-    if not options.fine:
-        raise ValueError("Only the full simulation is there so far; add --fine.")
+    return _simulate_fine(options) if options.fine else simulate_coarse(options)
+
+
+def _simulate_fine(options: argparse.Namespace) -> Mapping[str, Any]:
+    if options.out is None:
+        raise ValueError("Name the .pc2 file for the full simulation with --out.")
     settings = SimulationSettings(options.substeps, options.pre_roll)
     device = choose_device(options.device)
     check_output(options.out, ".pc2")

@@ -13,10 +13,14 @@ import bpy
 import numpy as np
 
 from ..bake import BakeJob
+from ..coarse_mesh import VERTEX_COUNT
 from ..database import MANIFEST, WrinkleDatabase
 from ..fabrics import find_fabric
 from ..joints import describe_joint, joints_to_json
 from .character import SamplingStage, sampling_stage
+from .coarse_layer import MESH, NONE, doubt_of, match_coarse
+from .coarse_scene import SIMULATION
+from .coarse_setup import choose, make_coarse
 from .files import check_output, save_character
 from .garment_joints import add_joint, choose_joints, remove_joint, set_range, take_named_ranges
 from .matching import check_database
@@ -49,6 +53,7 @@ def setup(options: argparse.Namespace) -> Mapping[str, Any]:
     if options.ranges:
         take_named_ranges(result.garment, options.ranges, math.radians(options.margin))
     choose_plan(settings, options)
+    doubt = _choose_coarse(result.garment, options.coarse) if options.coarse else ""
     plan = None
     if result.joints:
         with sampling_stage(settings.armature, settings.body) as stage:
@@ -58,17 +63,32 @@ def setup(options: argparse.Namespace) -> Mapping[str, Any]:
     text = [f"{result.garment.name}: {vertices} vertices, {len(plan.samples) + 1 if plan else 0} samples"]
     text += [f"  {grid.joint.name}: {', '.join(grid.joint.bones)}" for grid in plan.grids] if plan else [NO_JOINTS]
     text += [f"  {name} was not found: {why.reason}" for name, why in result.search.missing.items()]
-    text += result.notes
+    notes = [*result.notes, *([doubt] if doubt else [])]
+    text += notes
     return {
         "garment": result.garment.name,
         "vertices": vertices,
         "joints": joints_to_json(result.search),
         "sampled": [grid.joint.name for grid in plan.grids] if plan else [],
-        "notes": list(result.notes),
+        "coarse": settings.coarse.name if settings.coarse else None,
+        "notes": notes,
         "symmetric": plan is not None and plan.mirror is not None,
         "file": str(options.out),
         "text": "\n".join(text),
     }
+
+
+def _choose_coarse(garment: bpy.types.Object, text: str) -> str:
+    """Let the garment follow the mesh that is named, or one made from it; a sentence on what is doubtful."""
+    name, _, count = text.partition(":")
+    if bpy.data.objects.get(text) is not None or name not in ("make", "simulate"):
+        return choose(garment, find_object(text, "coarse mesh"), MESH)
+    if name == "simulate":
+        return choose(garment, find_object(count, "coarse mesh"), SIMULATION)
+    if count and not count.isdecimal():
+        raise ValueError(f"A coarse mesh is made with make:COUNT, such as make:700, not '{text}'.")
+    make_coarse(garment, int(count) if count else VERTEX_COUNT)
+    return ""
 
 
 def _pair(text: str) -> tuple[float, float]:
@@ -162,6 +182,8 @@ def check(options: argparse.Namespace) -> Mapping[str, Any]:
             _check_extremes(stage, job)
         notes.append(f"{len(job.plan.samples) + 1} samples of {job.garment.vertex_count} vertices would be baked.")
         notes += _database_notes(find_database(options, garment), garment, job)
+        if settings.coarse_layer != NONE and (doubt := doubt_of(garment, match_coarse(garment))):
+            notes.append(doubt)
     except ValueError as error:
         problems.append(str(error))
     return {

@@ -1,0 +1,39 @@
+"""Make a garment's coarse mesh in one click."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..wrinkle_addon.blender.coarse_setup import make_coarse
+from ..wrinkle_addon.blender.handlers import suspended
+from ..wrinkle_addon.blender.properties import active_garment
+from ..wrinkle_addon.coarse_mesh import LEAST_COUNT, VERTEX_COUNT
+
+
+class WRINKLE_OT_make_coarse_mesh(bpy.types.Operator):
+    """Make a coarse mesh from the garment, skinned as it is, for the garment to follow"""
+
+    bl_idname = "wrinkle.make_coarse_mesh"
+    bl_label = "Make Coarse Mesh"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender wants a plain set
+
+    vertex_count: bpy.props.IntProperty(name="Vertices", default=VERTEX_COUNT, min=LEAST_COUNT, soft_max=5000)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return active_garment(context) is not None
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        garment = active_garment(context)
+        assert garment is not None
+        try:
+            with suspended():
+                coarse = make_coarse(garment, self.vertex_count)
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"{coarse.name} has {len(coarse.data.vertices)} vertices")
+        return {"FINISHED"}
+
+
+classes = (WRINKLE_OT_make_coarse_mesh,)
