@@ -137,16 +137,6 @@ def remove(arm: Arm) -> str:
     return "No body is set."
 
 
-def hide(arm: Arm) -> str:
-    arm.sleeve.wrinkles.body.hide_viewport = True
-    return "The body 'body' is hidden or not in the scene."
-
-
-def subdivide(arm: Arm) -> str:
-    arm.sleeve.wrinkles.body.modifiers.new("Finer", "SUBSURF")
-    return "The body 'body' has 384 vertices, and 1504 with its modifiers."
-
-
 def replace_by_a_light(arm: Arm) -> str:
     lamp = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "POINT"))
     bpy.context.scene.collection.objects.link(lamp)
@@ -159,7 +149,7 @@ def strip(arm: Arm) -> str:
     return "The body has no faces; choose the mesh that the garment is worn on."
 
 
-@pytest.mark.parametrize("change", [remove, hide, subdivide, replace_by_a_light, strip])
+@pytest.mark.parametrize("change", [remove, replace_by_a_light, strip])
 def test_without_its_body_a_garment_plays_as_it_is_and_that_is_told(
     scene: bpy.types.Scene, arm: Arm, change: Callable[[Arm], str]
 ) -> None:
@@ -169,6 +159,38 @@ def test_without_its_body_a_garment_plays_as_it_is_and_that_is_told(
     scene.frame_set(6)
     np.testing.assert_allclose(evaluated_positions(arm.sleeve), expected, atol=1e-6)
     assert note(arm) == f"{sentence} The garment 'sleeve' plays without being kept clear of it."
+
+
+def hide(arm: Arm) -> str:
+    arm.sleeve.wrinkles.body.hide_viewport = True
+    return "is hidden"
+
+
+def subdivide(arm: Arm) -> str:
+    arm.sleeve.wrinkles.body.modifiers.new("Finer", "SUBSURF")
+    return "is shown with another mesh than its own"
+
+
+def mask(arm: Arm) -> str:
+    body = arm.sleeve.wrinkles.body
+    body.vertex_groups.new(name="covered").add(range(40), 1.0, "REPLACE")
+    modifier = body.modifiers.new("Skin under cloth", "MASK")
+    modifier.vertex_group, modifier.invert_vertex_group = "covered", True
+    return "is shown with another mesh than its own"
+
+
+@pytest.mark.parametrize("change", [hide, subdivide, mask])
+def test_the_plain_skinning_of_its_own_mesh_stands_for_a_body_that_is_not_shown_with_it(
+    scene: bpy.types.Scene, arm: Arm, change: Callable[[Arm], str]
+) -> None:
+    scene.frame_set(6)
+    expected = evaluated_positions(arm.sleeve)
+    scene.frame_set(5)
+    how = change(arm)
+    scene.frame_set(6)
+    # Blender skins this body just so; the two paths round differently.
+    np.testing.assert_allclose(evaluated_positions(arm.sleeve), expected, atol=1e-5)
+    assert note(arm) == f"The body 'body' {how}; the garment 'sleeve' is kept clear of its plain skinning."
 
 
 def test_a_body_that_comes_back_counts_again(scene: bpy.types.Scene, arm: Arm) -> None:

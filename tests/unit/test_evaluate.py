@@ -8,7 +8,7 @@ import pytest
 from baked_dolls import baked, bump, full_plan
 from cloth_shapes import sphere, tube
 from dolls import Doll, doll
-from wrinkle_synthesis.wrinkle_addon.bake import worn_limbs
+from wrinkle_synthesis.wrinkle_addon.wearer import worn_limbs
 from wrinkle_synthesis.wrinkle_addon.evaluate import EvaluatedFrame, evaluate
 from wrinkle_synthesis.wrinkle_addon.joint_wrinkles import JointWrinkles
 from wrinkle_synthesis.wrinkle_addon.penetration import PushOut, bind_clearance

@@ -8,9 +8,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ..database import WrinkleDatabase
-from ..garment import Body, check_body
+from ..garment import Body, SkinWeights, check_body
 from ..penetration import ClearanceBinding, PushOut, bind_clearance
-from ..rig import FloatArray, Rig
+from ..rig import FloatArray, Pose, Rig
 from ..wearer import worn_limbs
 from .character import apply, read_mesh, read_weights
 
@@ -18,12 +18,16 @@ from .character import apply, read_mesh, read_weights
 class BodyClearance:
     """One garment's push out of its body. What keeps it from pushing is told, and the garment plays as it is.
 
+    Where the body is hidden, or shown with another mesh than its own (subdivided, or its covered skin masked out of the
+    render), its own mesh is skinned here and stands for it.
+
     Args:
         database: The garment's.
         device: Warp device of its positions.
 
     Attributes:
-        note: One sentence, if the garment should be kept clear in the frame read last and is not; else empty.
+        note: One sentence, if the garment should be kept clear in the frame read last and is not, or of the body's
+            plain skinning alone; else empty.
     """
 
     def __init__(self, database: WrinkleDatabase, device: str):
@@ -31,55 +35,64 @@ class BodyClearance:
         self._device = device
         # The body that the garment was bound to, as glanced at, and why it could not be.
         self._bound: tuple[object, str] | None = None
+        self._rest: Body | None = None
         self._push: PushOut | None = None
         self.note = ""
 
     def read(
-        self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph, scale: float
+        self,
+        garment: bpy.types.Object,
+        depsgraph: bpy.types.Depsgraph,
+        pose: Pose,
+        placement: FloatArray,
     ) -> NDArray[np.float32] | None:
         """The body of this frame in the garment's object space, shape [body_vertex_count, 3]; None to leave it be.
 
         Args:
             garment: The original garment object.
             depsgraph: The evaluated scene.
-            scale: Metres of the bake per unit of the armature's own space.
+            pose: Of the armature in this frame.
+            placement: Matrix from rig space [m] to the garment's object space, shape [4, 4].
         """
         self.note = ""
         if not garment.wrinkles.clear_of_body:
             return None
         try:
-            return self._read(garment, depsgraph, scale)
+            return self._read(garment, depsgraph, pose, placement)
         except ValueError as error:
             self.note = f"{error} The garment '{garment.name}' plays without being kept clear of it."
             return None
 
     def _read(
-        self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph, scale: float
+        self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph, pose: Pose, placement: FloatArray
     ) -> NDArray[np.float32] | None:
-        settings = garment.wrinkles
-        body = _find_body(settings.body, depsgraph)
-        mesh = body.data
-        points = np.empty(3 * len(mesh.vertices), np.float32)
-        mesh.attributes["position"].data.foreach_get("vector", points)
-        self._bind(garment, body, depsgraph, scale)
-        assert self._push is not None
-        self._push.set_distance(settings.clearance)
-        to_garment = garment.evaluated_get(depsgraph).matrix_world.inverted_safe() @ body.matrix_world
-        return apply(np.array(to_garment, np.float64), points.reshape(-1, 3).astype(np.float64)).astype(np.float32)
+        body = check_body_object(garment.wrinkles.body)
+        self._bind(garment, placement)
+        assert self._push is not None and self._rest is not None
+        self._push.set_distance(garment.wrinkles.clearance)
+        shown = _shown_body(body, depsgraph)
+        if shown is not None and len(shown.data.vertices) == len(body.data.vertices):
+            points = np.empty(3 * len(shown.data.vertices), np.float32)
+            shown.data.attributes["position"].data.foreach_get("vector", points)
+            to_garment = garment.evaluated_get(depsgraph).matrix_world.inverted_safe() @ shown.matrix_world
+            return apply(np.array(to_garment, np.float64), points.reshape(-1, 3).astype(np.float64)).astype(np.float32)
+        how = "is hidden" if shown is None else "is shown with another mesh than its own"
+        self.note = f"The body '{body.name}' {how}; the garment '{garment.name}' is kept clear of its plain skinning."
+        deformations = pose.deformations(self._database.header.rig)
+        moved = self._skin.carry(placement @ deformations, self._rest.positions)
+        return moved.astype(np.float32)
 
-    def _bind(
-        self, garment: bpy.types.Object, body: bpy.types.Object, depsgraph: bpy.types.Depsgraph, scale: float
-    ) -> None:
+    def _bind(self, garment: bpy.types.Object, placement: FloatArray) -> None:
         """See to it that the garment is bound to this body; once for each, as it takes some tenths of a second."""
-        original = garment.wrinkles.body
-        glance = original.session_uid, original.data.session_uid, len(original.data.vertices), len(body.data.vertices)
+        body = garment.wrinkles.body
+        glance = body.session_uid, body.data.session_uid, len(body.data.vertices)
         if self._bound is None or self._bound[0] != glance:
-            armature = garment.wrinkles.armature.evaluated_get(depsgraph)
-            to_rig = np.array(armature.matrix_world.inverted_safe() @ body.matrix_world, np.float64)
-            to_rig[:3] *= scale
+            to_garment = np.array(garment.matrix_world.inverted_safe() @ body.matrix_world, np.float64)
+            rig = self._database.header.rig
             try:
-                binding = bind_to_body(self._database, rest_body(original, body, self._database.header.rig, to_rig))
-                self._push = PushOut(binding, device=self._device)
+                self._rest = rest_body(body, rig, np.linalg.inv(placement) @ to_garment)
+                self._skin = SkinWeights.from_dense(_carried(self._rest.weights))
+                self._push = PushOut(bind_to_body(self._database, self._rest), device=self._device)
                 self._bound = glance, ""
             except ValueError as error:
                 self._bound = glance, str(error)
@@ -107,45 +120,53 @@ def bind_to_body(database: WrinkleDatabase, body: Body) -> ClearanceBinding:
     return bind_clearance(database.rest, header.garment.faces, body.positions, body.faces, limbs)
 
 
-def _find_body(body: bpy.types.Object | None, depsgraph: bpy.types.Depsgraph) -> bpy.types.Object:
-    """The evaluated body.
+def check_body_object(body: bpy.types.Object | None) -> bpy.types.Object:
+    """The body object, if a garment can be kept clear of it.
 
     Raises:
-        ValueError: One sentence, if there is none in this frame.
+        ValueError: One sentence, if not.
     """
     if body is None:
         raise ValueError("No body is set.")
     if body.type != "MESH":
         raise ValueError(f"The body '{body.name}' is no mesh.")
+    if body.data.is_editmode:
+        raise ValueError(f"The body '{body.name}' is being edited.")
+    return body
+
+
+def _shown_body(body: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bpy.types.Object | None:
+    """The evaluated body, or None where Blender does not evaluate it."""
     shown = depsgraph.objects.get(body.name)
     by_eye = depsgraph.mode == "VIEWPORT" and body.hide_get(view_layer=depsgraph.view_layer) and not body.hide_viewport
     # Blender does not move what is hidden, except by the eye in the outliner, but says that it is evaluated.
     if not by_eye and (shown is None or shown.original != body):
-        raise ValueError(f"The body '{body.name}' is hidden or not in the scene.")
-    if body.data.is_editmode:
-        raise ValueError(f"The body '{body.name}' is being edited.")
+        return None
     return body.evaluated_get(depsgraph)
 
 
-def rest_body(original: bpy.types.Object, evaluated: bpy.types.Object, rig: Rig, to_rig: FloatArray) -> Body:
+def _carried(weights: FloatArray) -> FloatArray:
+    """Bone weights of which those vertices that no bone reaches go with the first bone."""
+    free = weights.sum(1) <= 0.0
+    weights = weights.copy()
+    weights[free, 0] = 1.0
+    return weights
+
+
+def rest_body(body: bpy.types.Object, rig: Rig, to_rig: FloatArray) -> Body:
     """The body as it rests: its own mesh with the shape keys that nothing animates, under no modifier.
 
     Args:
         to_rig: Matrix from the body's object space to rig space [m], shape [4, 4].
 
     Raises:
-        ValueError: One sentence, if modifiers make another mesh of it, or it is none that a garment is worn on.
+        ValueError: One sentence, if it is none that a garment is worn on.
     """
-    positions, faces = read_mesh(original.data)
-    if len(evaluated.data.vertices) != len(positions):
-        raise ValueError(
-            f"The body '{original.name}' has {len(positions)} vertices, and {len(evaluated.data.vertices)} with its "
-            "modifiers."
-        )
-    shaped = apply(to_rig, positions + _constant_shape(original))
-    body = Body(shaped, faces, read_weights(original, original.data, rig))
-    check_body(body)
-    return body
+    positions, faces = read_mesh(body.data)
+    shaped = apply(to_rig, positions + _constant_shape(body))
+    rest = Body(shaped, faces, read_weights(body, body.data, rig))
+    check_body(rest)
+    return rest
 
 
 def _constant_shape(body: bpy.types.Object) -> FloatArray | float:

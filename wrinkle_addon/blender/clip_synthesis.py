@@ -87,7 +87,7 @@ class ClipSynthesis:
             depsgraph = bpy.context.evaluated_depsgraph_get()
             layer = self._coarse.read(self.garment, depsgraph, self._evaluator, strict=True)
             (layer or self._evaluator).evaluate(clip.pose, self._positions, strengths, clip.rig_to_garment)
-            body = self._clearance.read(self.garment, depsgraph, self._scale)
+            body = self._clearance.read(self.garment, depsgraph, clip.pose, clip.rig_to_garment)
             if body is not None:
                 self._clearance.clear(body, self._positions, clip.rig_to_garment)
             if self._clearance.note:

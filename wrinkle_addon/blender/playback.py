@@ -154,7 +154,7 @@ class Player:
         strengths = evaluated.wrinkles.strengths()
         frame = depsgraph.scene.frame_current_final
         layer = self.coarse.read(garment, depsgraph, self._evaluator, live=not only_changes)
-        body = self._clearance.read(garment, depsgraph, self._scale)
+        body = self._clearance.read(garment, depsgraph, pose, placement)
         coarse = None if layer is None else (layer.positions.tobytes(), layer.follow)
         around = None if body is None else (body.tobytes(), garment.wrinkles.clearance)
         inputs = (pose.matrices.tobytes(), placement.tobytes(), strengths, frame, coarse, around)
