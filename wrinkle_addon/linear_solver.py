@@ -162,7 +162,7 @@ class BlockSystem:
         what was found."""
         launch = _launcher(self._device)
         self._active.fill_(1)
-        self._multiply(self.solution, self._product)
+        self.multiply(self.solution, self._product)
         found = [self._residual, self._preconditioned]
         launch(linear.start_from, self.shape, [gradient, self._inverse, self._product], found)
         self._begin(moving)
@@ -173,7 +173,7 @@ class BlockSystem:
         """Let vertices whose entry is not 0 keep still in the next solve; after :meth:`precondition`, one world."""
         wp.launch(linear.hold_vertices, dim=self.shape, inputs=[held, self._inverse], device=self._device)
 
-    def _multiply(self, direction: wp.array, product: wp.array) -> None:
+    def multiply(self, direction: wp.array, product: wp.array) -> None:
         """``product`` = H ``direction``."""
         launch = _launcher(self._device)
         launch(
@@ -257,7 +257,7 @@ class BlockSystem:
     def _iterate(self, tolerance: float) -> None:
         launch = _launcher(self._device)
         worlds = self.shape[0]
-        self._multiply(self._direction, self._product)
+        self.multiply(self._direction, self._product)
         self._dot(self._direction, self._product)
         scalars = [self._partial, self._energy, self._iterations, self._active]
         launch(linear.step_length, worlds, scalars, [self._alpha])
