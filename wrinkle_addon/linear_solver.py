@@ -79,6 +79,7 @@ class BlockSystem:
         self._energy, self.first_energy = scalars(wp.float64), scalars(wp.float64)
         self._alpha, self._beta = scalars(wp.float32), scalars(wp.float32)
         self._active, self._iterations = scalars(wp.int32), scalars(wp.int32)
+        self._active.fill_(1)
 
     def assemble(self, positions: wp.array, inverse_dt2: wp.array, kept: wp.array) -> None:
         """Fill the blocks at ``positions`` (float64 [m]) for the elasticity and the contact planes as they stand.
@@ -174,7 +175,7 @@ class BlockSystem:
         wp.launch(linear.hold_vertices, dim=self.shape, inputs=[held, self._inverse], device=self._device)
 
     def multiply(self, direction: wp.array, product: wp.array) -> None:
-        """``product`` = H ``direction``."""
+        """``product`` = H ``direction``, in the worlds whose solve goes on: all, until one began."""
         launch = _launcher(self._device)
         launch(
             linear.pair_products,
