@@ -7,11 +7,12 @@ from types import ModuleType
 
 import bpy
 
-from ..wrinkle_addon.blender import command, handlers, panels, preferences, properties
-from . import bake, cancel_bake, setup_garment, show_influence, take_ranges, write_clip
+from ..wrinkle_addon.blender import command, flow_panel, flow_properties, handlers, panels, preferences, properties
+from . import bake, cancel_bake, compress_flow, setup_garment, show_influence, take_ranges, write_clip
 
 MODULES: Sequence[ModuleType] = (
     preferences,
+    flow_properties,
     properties,
     setup_garment,
     take_ranges,
@@ -19,7 +20,9 @@ MODULES: Sequence[ModuleType] = (
     bake,
     cancel_bake,
     write_clip,
+    compress_flow,
     panels,
+    flow_panel,
     handlers,
     command,
 )

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from ..kernels.flow import BonePose, add_flow, add_residuals
 from .flow_file import Flow
@@ -110,6 +111,14 @@ class FlowEvaluator(Evaluator):
             self._summed = self._residuals.numpy().reshape(-1)
         else:
             self._uploaded = wp.array(flow.shapes, dtype=wp.vec3, device=device)
+
+    def positions(
+        self, pose: Pose, strength: Mapping[str, float] | float = 1.0, *, frame: float | None = None
+    ) -> NDArray[np.float32]:
+        """:meth:`evaluate` in rig space [m], into a new NumPy array of shape [vertex_count, 3]."""
+        out = wp.zeros(self.vertex_count, dtype=wp.vec3, device=self.device)
+        self.evaluate(pose, out, strength, frame=frame)
+        return out.numpy()
 
     @property
     def vertex_count(self) -> int:

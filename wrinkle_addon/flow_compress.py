@@ -44,8 +44,8 @@ FINEST_STEP = 1.0e-6
 SLACK = 0.985
 """An error this near below its bound is near enough."""
 
-TRIES = 12
-"""Encodings until a bound must be kept."""
+TRIES, ENOUGH_TRIES = 12, 4
+"""Encodings until a bound must be kept, and until one that keeps it is good enough."""
 
 PLAYABLE = 100_000_000
 """Values of the components, at most: what a frame reads beyond memory's good will."""
@@ -238,27 +238,25 @@ class _Search:
 
     def by_error(self, goal: Goal) -> Compressed:
         """The smallest flow whose measured errors keep to the bounds."""
-        target = _first_target(goal)
-        step = self._first_step(target, self._found.count)
+        step = self._first_step(_first_target(goal), self._found.count)
         best: Compressed | None = None
+        nearest = math.inf, math.inf
         for number in range(TRIES):
             self._progress(0.5 + 0.5 * number / TRIES, f"trying steps of {1e6 * step:.3g} micrometres")
             tried = self.encode(self._found.count, step)
-            keeps = (goal.rms_mm is None or tried.rms_mm <= goal.rms_mm) and (
-                goal.max_mm is None or tried.max_mm <= goal.max_mm
-            )
-            if keeps and (best is None or tried.code.size < best.code.size):
-                best = tried
+            nearest = min(nearest, (tried.rms_mm, tried.max_mm))
             ratio = max(
                 tried.rms_mm / goal.rms_mm if goal.rms_mm is not None else 0.0,
                 tried.max_mm / goal.max_mm if goal.max_mm is not None else 0.0,
             )
-            if (keeps and ratio >= SLACK) or step <= FINEST_STEP or (best is not None and number >= 4):
+            if ratio <= 1.0 and (best is None or tried.code.size < best.code.size):
+                best = tried
+            if SLACK <= ratio <= 1.0 or step <= FINEST_STEP or (best is not None and number >= ENOUGH_TRIES):
                 break
             step = max(step * min(max((0.993 / max(ratio, 1e-3)) ** 1.2, 0.3), 2.0), FINEST_STEP)
         if best is None:
             raise ValueError(
-                f"{tried.rms_mm:.3g} mm RMS and {tried.max_mm:.3g} mm at most is as near as "
+                f"{nearest[0]:.3g} mm RMS and {nearest[1]:.3g} mm at most is as near as "
                 f"{self._found.count} components come; allow a larger error."
             )
         promise = replace(

@@ -12,6 +12,7 @@ from ..joint_wrinkles import BlendWeights, Formulation
 from ..rig import Joint
 from ..wearer import BakeSettings
 from . import playback
+from .flow_properties import FlowSettings
 from .node_group import add_modifier, set_mask
 from .write import show_skinned
 
@@ -157,6 +158,7 @@ class GarmentSettings(bpy.types.PropertyGroup):
         override=_OVERRIDABLE,
         update=_played_anew,
     )
+    flow: bpy.props.PointerProperty(type=FlowSettings, override=_OVERRIDABLE)
     joints: bpy.props.CollectionProperty(type=JointSettings, override=_OVERRIDABLE)
     skinning_rests: bpy.props.BoolProperty(
         options={"HIDDEN"}, description="The Armature modifier is off as long as the animation plays"
