@@ -17,6 +17,7 @@ FIGURES = {
     "frame": ("fps",),
     "peers": ("times_faster_than_cloth", "ratio_to_shape_keys"),
     "sample": ("seconds",),
+    "flow": ("times_smaller_than_pc2", "rmse_mm", "frame_ms"),
     "solvers": ("settled_seconds", "stepped_times_ours", "blender_times_ours", "blender_level_mm"),
 }
 
