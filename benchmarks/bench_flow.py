@@ -220,13 +220,14 @@ def draw(source: FlowSource, found: Components, report: Report, path: Path) -> N
     sizes = [paper_bytes(count, vertices, frames) / 1e6 for count in counts]
     errors = [1e3 * np.sqrt(found.lost(count)) for count in counts]
     axes.loglog(sizes, errors, "s-", label="components in half precision (the paper's)")
-    for key, name in (("pc2_bytes", "PC2"), ("alembic_bytes", "Alembic"), ("shape_keys_bytes", "shape keys")):
-        if key in report.figures:
-            axes.axvline(report.figures[key] / 1e6, linestyle=":", color="#555555")
-            axes.text(report.figures[key] / 1e6, max(CURVE_MM), f" {name}", rotation=90, va="top")
+    for key, name, line in (("pc2", "PC2", ":"), ("alembic", "Alembic", "--"), ("shape_keys", "shape keys", "-.")):
+        if f"{key}_bytes" in report.figures:
+            axes.axvline(report.figures[f"{key}_bytes"] / 1e6, linestyle=line, color="#555555", label=name)
     axes.set(xlabel="size (MB)", ylabel="RMS error (mm)", title=f"{vertices} vertices, {frames} frames")
-    axes.grid(alpha=0.3, which="both")
-    axes.legend()
+    axes.set_yticks(CURVE_MM, [f"{error:g}" for error in CURVE_MM], minor=False)
+    axes.minorticks_off()
+    axes.grid(alpha=0.3)
+    axes.legend(loc="center")
     figure.tight_layout()
     figure.savefig(path, dpi=110)
 
