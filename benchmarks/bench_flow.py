@@ -112,7 +112,12 @@ def measure_sizes(report: Report, folder: Path) -> None:
         **{f"times_smaller_than_{key}": size / sizes["flow"] for key, size in sizes.items() if key != "flow"},
     }
     if report.options.picture is not None:
-        draw(source, found, report, report.options.picture)
+        from flow_picture import draw_shapes
+        from wrinkle_synthesis.wrinkle_addon.blender.character import read_mesh
+
+        path = report.options.picture
+        draw(source, found, report, path)
+        draw_shapes(source, made, read_mesh(garment.data)[1], path.with_name(f"{path.stem}_shapes{path.suffix}"))
 
 
 def recorded(options: Options) -> tuple[FlowSource, Any]:
@@ -213,7 +218,7 @@ def draw(source: FlowSource, found: Components, report: Report, path: Path) -> N
     from matplotlib import pyplot
 
     frames, vertices = source.recording.frame_count, source.recording.vertex_count
-    figure, axes = pyplot.subplots(figsize=(7, 4.5))
+    figure, axes = pyplot.subplots(figsize=(7, 5.0))
     ours = [compress(source, Goal(rms_mm=error)) for error in CURVE_MM]
     axes.loglog([made.code.size / 1e6 for made in ours], [made.rms_mm for made in ours], "o-", label="wrinkle flow")
     counts = [paper_count(found, error) for error in CURVE_MM]
@@ -227,7 +232,7 @@ def draw(source: FlowSource, found: Components, report: Report, path: Path) -> N
     axes.set_yticks(CURVE_MM, [f"{error:g}" for error in CURVE_MM], minor=False)
     axes.minorticks_off()
     axes.grid(alpha=0.3)
-    axes.legend(loc="center")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncol=3)
     figure.tight_layout()
     figure.savefig(path, dpi=110)
 
