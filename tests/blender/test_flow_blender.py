@@ -220,7 +220,8 @@ def test_any_weights_keep_the_bound(arm: Arm, cache: Path, tmp_path: Path, weigh
 
 
 def test_a_recording_comes_back_as_a_point_cache(arm: Arm, cache: Path, tmp_path: Path, capsys) -> None:
-    blend, out, back = tmp_path / "arm.blend", tmp_path / "a.flow", tmp_path / "back.pc2"
+    blend, out, back = tmp_path / "arm.blend", tmp_path / "flows" / "a.flow", tmp_path / "back.pc2"
+    out.parent.mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(blend))
     run("flow", "compress", blend, "--recording", "scene", "--error", ERROR, "--out", out, capsys=capsys)
     told = run("flow", "info", out, capsys=capsys)
@@ -228,13 +229,17 @@ def test_a_recording_comes_back_as_a_point_cache(arm: Arm, cache: Path, tmp_path
     played = run("flow", "play", blend, "--flow", out, "--out", back, "--frames", "3:17", capsys=capsys)
     assert played["outside"] == 3
     assert rms_mm(PointCache(back).frames[:12], PointCache(cache).frames) <= ERROR
-    shown = tmp_path / "shown.blend"
+    shown = tmp_path / "elsewhere" / "shown.blend"
+    shown.parent.mkdir()
     run("flow", "play", blend, "--flow", out, "--blend", shown, "--speed", "0.5", capsys=capsys)
     bpy.ops.wm.open_mainfile(filepath=str(shown))
     settings = bpy.data.objects["sleeve"].wrinkles
     assert settings.enabled
     assert settings.flow.replays
     assert settings.flow.speed == 0.5
+    assert settings.flow.path == "//../flows/a.flow"
+    bpy.context.scene.frame_set(8)
+    assert playback.status(bpy.data.objects["sleeve"]).error == ""
 
 
 @pytest.mark.parametrize("suffix", [".abc", ".usdc"])

@@ -64,7 +64,7 @@ def compress_recording(options: argparse.Namespace) -> Mapping[str, Any]:
         result["curve"] = [{"bytes": size, "rms_mm": error} for size, error in made.curve]
         result["plots"] = [str(plot_flow(points, made.frame_mm, source.recording.start, options.plots))]
     if options.blend is not None:
-        _remember(garment, options.out)
+        _remember(garment, options.out, options.blend)
         save_character(options.blend)
     return {**result, "text": "\n".join(lines)}
 
@@ -97,7 +97,7 @@ def play(options: argparse.Namespace) -> Mapping[str, Any]:
     if options.out is not None:
         write_pc2(options.out, found.vertex_count, frames[0], positions(), len(frames))
     if options.blend is not None:
-        _remember(garment, options.flow)
+        _remember(garment, options.flow, options.blend)
         settings = garment.wrinkles.flow
         settings.offset, settings.speed, settings.ends = options.offset, options.speed, Ends(options.ends).name
         garment.wrinkles.strength = options.strength
@@ -170,8 +170,9 @@ def _choice(options: argparse.Namespace) -> RecordingChoice:
     return RecordingChoice(options.recording or SCENE, frames, options.start, options.weights)
 
 
-def _remember(garment: bpy.types.Object, path: Path) -> None:
-    garment.wrinkles.flow.path = str(path.resolve())
+def _remember(garment: bpy.types.Object, flow: Path, blend: Path) -> None:
+    """Let a garment replay a flow, found from where the .blend file will lie."""
+    garment.wrinkles.flow.path = bpy.path.relpath(str(flow.resolve()), start=str(blend.resolve().parent))
     garment.wrinkles.flow.replays = True
     garment.wrinkles.enabled = True
 
