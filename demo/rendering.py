@@ -49,12 +49,12 @@ def render_frames(
     with quiet():
         bpy.ops.wm.open_mainfile(filepath=str(playback.resolve()))
     scene, shown = bpy.context.scene, bpy.data.objects[garment]
-    _use_cycles(scene, size, samples)
+    use_cycles(scene, size, samples)
     folder.mkdir(parents=True, exist_ok=True)
     for frame in frames:
         scene.frame_set(frame)
         if close:
-            _come_close(scene, [PointCache(cache) for cache in caches.values()], frame)
+            come_close(scene, [PointCache(cache) for cache in caches.values()], frame)
         for name, cache in caches.items():
             path = folder / f"{name}-{frame:04d}.png"
             if not path.exists():
@@ -68,7 +68,8 @@ def render_frames(
             yield path
 
 
-def _use_cycles(scene: Any, size: tuple[int, int], samples: int) -> None:
+def use_cycles(scene: Any, size: tuple[int, int], samples: int) -> None:
+    """Render with Cycles from now on, in this size and with so many rays a pixel, noise taken out."""
     scene.render.engine = "CYCLES"
     scene.cycles.device = "CPU"
     scene.cycles.samples = samples
@@ -84,7 +85,7 @@ def _use_cycles(scene: Any, size: tuple[int, int], samples: int) -> None:
     scene.view_settings.look = "AgX - Medium High Contrast"
 
 
-def _come_close(scene: Any, caches: Sequence[PointCache], frame: int) -> None:
+def come_close(scene: Any, caches: Sequence[PointCache], frame: int) -> None:
     """Move the camera so that the cloth of all caches just fills the picture of this frame."""
     stage = scene.camera.parent
     cloth = np.concatenate([cache.frames[round(frame - cache.start)] for cache in caches])

@@ -31,6 +31,18 @@ class Results:
             raise ValueError(f"The folder '{folder}' holds another demo; name an empty one, or remove it.")
         _write(path, chosen)
 
+    @staticmethod
+    def recipe_of(folder: Path) -> dict[str, Any]:
+        """What is made in a folder.
+
+        Raises:
+            ValueError: If no demo has been there; one sentence.
+        """
+        path = folder / "stages" / "recipe.json"
+        if not path.exists():
+            raise ValueError(f"The folder '{folder}' holds no demo; name one that a demo was written to.")
+        return _read(path)
+
     def path(self, name: str) -> Path:
         """Path of a file in the folder."""
         return self.folder / name

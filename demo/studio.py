@@ -117,6 +117,35 @@ def show_cache(garment: Any, cache: Path) -> None:
     modifier.frame_start = PointCache(cache).start
 
 
+def show_shape(garment: Any, positions: NDArray[np.float32], faces: NDArray[np.int32]) -> None:
+    """Let the garment be one shape, of whatever mesh, that nothing moves; in the garment's object space."""
+    import bpy
+
+    mesh = bpy.data.meshes.new(garment.name)
+    mesh.from_pydata(positions.tolist(), [], faces.tolist())
+    mesh.shade_smooth()
+    mesh.materials.append(_material("cloth", CLOTH))
+    garment.modifiers.clear()
+    garment.data = mesh
+
+
+def paint_vertices(garment: Any, colours: NDArray[np.float32]) -> None:
+    """Let the garment shine in a colour of its own at every vertex, whatever the light; shape [vertex_count, 4]."""
+    import bpy
+
+    layer = garment.data.color_attributes.new("shown", "FLOAT_COLOR", "POINT")
+    layer.data.foreach_set("color", colours.astype(np.float32).ravel())
+    material = bpy.data.materials.get("colours") or bpy.data.materials.new("colours")
+    material.use_nodes = True
+    tree: Any = material.node_tree
+    tree.nodes.clear()
+    read, shine = tree.nodes.new("ShaderNodeAttribute"), tree.nodes.new("ShaderNodeEmission")
+    read.attribute_name = layer.name
+    tree.links.new(read.outputs["Color"], shine.inputs["Color"])
+    tree.links.new(shine.outputs["Emission"], tree.nodes.new("ShaderNodeOutputMaterial").inputs["Surface"])
+    garment.data.materials[0] = material
+
+
 def rest_positions(garment: Any) -> FloatArray:
     """The garment's modelled shape in world space, shape [vertex_count, 3]."""
     positions = np.empty(3 * len(garment.data.vertices), np.float32)
