@@ -1,7 +1,7 @@
 """Which coarse simulation this is: told by its source, so that no change of it can be forgotten.
 
-A cache holds the motion of the solver that made it. Frames of two solvers do not follow each other, so another source is
-another solver, even where only its words changed.
+A cache holds the motion of the solver that made it. Frames of two solvers do not follow each other, so another source
+is another solver, even where only its words changed.
 """
 
 from __future__ import annotations
