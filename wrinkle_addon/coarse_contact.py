@@ -110,7 +110,8 @@ class CoarseContact:
 
         The skinned garment tells where each vertex's outside is.
         """
-        wp.copy(self.body.points, self.points.last.reshape(self.body.points.shape))
+        for here, path in ((self.body.points, self.points), (self.body.normals, self.normals)):
+            wp.copy(here, path.last.reshape(here.shape))
         self._body_meshes[0].refit()
         inputs = [skin.last.reshape((1, self._count)), self._faces, *self._corners]
         self._launch(body_surface.vertex_normals, (1, self._count), inputs, [self._outward])
