@@ -10,10 +10,10 @@ from ..wrinkle_addon.plan import Sample, SamplePlan
 
 
 def choose_samples(plan: SamplePlan, count: int) -> list[Sample]:
-    """So many of the samples that are simulated, evenly spread over a plan, its last one among them."""
-    simulated = plan.simulated
-    count = min(count, len(simulated))
-    return [simulated[(k + 1) * len(simulated) // count - 1] for k in range(count)]
+    """So many samples, evenly spread over a plan, its last one among them."""
+    samples = plan.samples
+    count = min(count, len(samples))
+    return [samples[(k + 1) * len(samples) // count - 1] for k in range(count)]
 
 
 def make_sample_clip(scene_path: Path, garment: str, database: Path, count: int, path: Path) -> list[str]:

@@ -188,7 +188,7 @@ def test_pictured_samples_come_from_all_over_the_plan() -> None:
     plan = paper_plan([find_joints(human()).joints["elbow_L"]])
     nodes = [sample.index[0] for sample in choose_samples(plan, 4)]
     assert len(set(nodes)) == 4 and sorted(nodes)[0] < plan.grids[0].rest[0] < sorted(nodes)[-1]
-    assert choose_samples(plan, 100) == list(plan.simulated)
+    assert choose_samples(plan, 100) == list(plan.samples)
 
 
 def test_the_hardest_frames_lie_apart() -> None:
