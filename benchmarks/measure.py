@@ -37,25 +37,34 @@ class Options:
         device: Warp device.
         quick: A tiny size, to see that the benchmark runs; its figures mean nothing.
         picture: Where the picture goes, of a benchmark that makes one; None is nowhere.
+        scene, recording: A .blend file and a recorded animation of its garment, of a benchmark that takes one.
     """
 
     json: str | None
     device: str
     quick: bool
     picture: Path | None = None
+    scene: Path | None = None
+    recording: Path | None = None
 
 
-def read_options(description: str | None, *, picture: bool = False) -> Options:
-    """The options of a benchmark; ``picture`` says that it can make one."""
+def read_options(description: str | None, *, picture: bool = False, recording: bool = False) -> Options:
+    """The options of a benchmark; ``picture`` says that it can make one, ``recording`` that it can take one."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--json", nargs="?", const="-", metavar="FILE", help="write the figures as one JSON object")
     parser.add_argument("--device", default="auto", help="cpu, cuda:0, ...; left out, a GPU if there is one")
     parser.add_argument("--quick", action="store_true", help="a tiny size, to see that it runs")
     if picture:
         parser.add_argument("--picture", type=Path, metavar="FILE", help="draw what was measured, .png or .jpg")
+    if recording:
+        parser.add_argument("--scene", type=Path, metavar="FILE", help="a .blend file with a garment that was set up")
+        parser.add_argument("--recording", type=Path, metavar="FILE", help="a recorded animation of that garment")
     given = parser.parse_args()
+    if recording and (given.scene is None) != (given.recording is None):
+        parser.error("A recording needs its scene, and a scene its recording.")
     try:
-        return Options(given.json, choose_device(given.device), given.quick, getattr(given, "picture", None))
+        paths = (getattr(given, name, None) for name in ("picture", "scene", "recording"))
+        return Options(given.json, choose_device(given.device), given.quick, *paths)
     except ValueError as error:
         parser.error(str(error))
 

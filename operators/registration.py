@@ -7,10 +7,11 @@ from types import ModuleType
 
 import bpy
 
-from ..wrinkle_addon.blender import command, handlers, panels, preferences, properties
+from ..wrinkle_addon.blender import command, flow_panel, flow_properties, handlers, panels, preferences, properties
 from . import (
     bake,
     cancel_bake,
+    compress_flow,
     make_coarse_mesh,
     setup_garment,
     show_influence,
@@ -21,6 +22,7 @@ from . import (
 
 MODULES: Sequence[ModuleType] = (
     preferences,
+    flow_properties,
     properties,
     setup_garment,
     take_ranges,
@@ -30,7 +32,9 @@ MODULES: Sequence[ModuleType] = (
     make_coarse_mesh,
     simulate_coarse,
     write_clip,
+    compress_flow,
     panels,
+    flow_panel,
     handlers,
     command,
 )

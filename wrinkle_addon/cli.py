@@ -77,6 +77,10 @@ def run(options: argparse.Namespace) -> Mapping[str, Any]:
         from . import folder_verbs
 
         return getattr(folder_verbs, options.verb)(options)
+    if options.verb == "flow" and (options.action == "info" or (options.action == "verify" and options.file is None)):
+        from . import flow_verbs
+
+        return getattr(flow_verbs, options.action)(options)
     from .blender import verbs
 
     return verbs.run(options.verb, options)

@@ -45,6 +45,7 @@ def build_parser() -> Parser:
     _add_bake_verbs(add)
     _add_clip_verbs(add)
     _add_folder_verbs(add)
+    _add_flow_verbs(add)
     add("doctor", "versions, devices, what works here", _device())
     return parser
 
@@ -166,6 +167,55 @@ def _add_folder_verbs(add: AddVerb) -> None:
         verb.add_argument("--database", type=Path, help="the same, as an option")
 
 
+def _add_flow_verbs(add: AddVerb) -> None:
+    flow = add("flow", "a recorded animation of a garment, made small and replayed")
+    actions = flow.add_subparsers(dest="action", required=True, metavar="ACTION")
+
+    def action(name: str, text: str, *shared: Parser) -> Parser:
+        parser = actions.add_parser(name, help=text, description=text, parents=shared)
+        parser.add_argument("--json", action="store_true", help="print one JSON object last on stdout")
+        return parser
+
+    def add_recording(parser: Parser) -> None:
+        parser.add_argument(
+            "--recording",
+            metavar="scene|FILE|FOLDER",
+            help="a .pc2, .mdd, .abc or .usd file, numbered .npy or .obj files, or the scene's garment",
+        )
+
+    compress = action("compress", "compress a recording", _file(), _worn(), _frames())
+    add_recording(compress)
+    compress.add_argument("--start", type=float, help="scene frame of a file's first sample; left out, as it says")
+    goal = compress.add_mutually_exclusive_group()
+    goal.add_argument("--error", type=float, metavar="MM", help="root mean square error to keep to; 0.5 if left out")
+    goal.add_argument("--components", type=int, help="number of principal components")
+    goal.add_argument("--size", type=int, metavar="BYTES", help="size to keep to")
+    compress.add_argument("--max-error", type=float, metavar="MM", help="error that no vertex goes beyond in any frame")
+    compress.add_argument("--weights", choices=("own", "nearest", "surface", "fit"), default="own")
+    compress.add_argument("--skinning", choices=("linear", "dual_quaternion"), default="linear")
+    compress.add_argument("--space", choices=("bones", "posed"), default="bones", help="whence residuals are seen")
+    compress.add_argument("--plots", type=Path, help="folder for a plot of size against error")
+    compress.add_argument("--blend", type=Path, help="also write this .blend file, where the garment replays the flow")
+    compress.add_argument("--out", type=Path, required=True, help="the .flow file to write")
+
+    play = action(
+        "play", "replay a flow into a point cache, or in a .blend file", _file(), _worn(), _frames(), _device()
+    )
+    play.add_argument("--flow", type=Path, required=True, help="the .flow file")
+    play.add_argument("--offset", type=float, default=0.0, help="frames by which it is shown later")
+    play.add_argument("--speed", type=float, default=1.0, help="recorded frames a frame; below 0 backwards")
+    play.add_argument("--ends", choices=("hold", "loop"), default="hold", help="what is shown beyond the recording")
+    play.add_argument("--strength", type=float, default=1.0, help="0 is skinning alone, 1 as recorded")
+    play.add_argument("--blend", type=Path, help="the .blend file to write, where the garment replays the flow")
+    play.add_argument("--out", type=Path, help="the .pc2 file to write")
+
+    action("info", "what a flow holds and promises").add_argument("flow", type=Path)
+    verify = action("verify", "that a flow is undamaged; with a .blend file, that it keeps its promise", _worn())
+    verify.add_argument("flow", type=Path)
+    verify.add_argument("file", nargs="?", type=Path, help="the .blend file of the recording")
+    add_recording(verify)
+
+
 # --- options that verbs share -------------------------------------------------------------------------------------
 
 
@@ -183,6 +233,14 @@ def _garment() -> Parser:
     shared = _shared()
     shared.add_argument("--garment", help="garment object; left out, the only one that was set up")
     shared.add_argument("--database", type=Path, help="database folder; left out, the one stored in the file")
+    return shared
+
+
+def _worn() -> Parser:
+    shared = _shared()
+    shared.add_argument("--garment", help="garment object; left out, the only one that was set up")
+    shared.add_argument("--body", help="the mesh that it is worn on, if it was not set up")
+    shared.add_argument("--armature", help="the rig that moves both, if it was not set up; left out, the only one")
     return shared
 
 

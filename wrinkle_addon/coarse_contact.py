@@ -46,6 +46,7 @@ class CoarseContact:
         pair_energy, pair_force: Room for the energy [J] and the force [N] of each pair.
         anchor_face, anchor_weights: Where on the body friction holds on, shape [1, vertex_count * PLANES].
         candidate: Closest triangle of the body to each vertex, -1 where there is none, shape [vertex_count].
+        found_from: Where each vertex was when that was last looked for [m], shape [1, vertex_count].
         ahead: What the force of contact lacks at the vertices themselves [N], shape [1, vertex_count].
         touching: Not 0 where the body touches or is about to, shape [vertex_count].
         gap: Signed distance of every vertex to where contact holds it [m], as the last step left it; [vertex_count].
@@ -82,6 +83,7 @@ class CoarseContact:
         self._laws = [law_of(settings, part.fabric) for part in model.parts]
         self.anchor_face, self.anchor_weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)
         self.candidate = self._zeros(self._count, wp.int32)
+        self.found_from = self._zeros((1, self._count), wp.vec3d)
         self._outward = self._zeros((1, self._count), wp.vec3)
         self.gap = self._zeros(self._count, wp.float32)
         self.ahead, self.touching = self._zeros((1, self._count), wp.vec3d), self._zeros(self._count, wp.int32)
@@ -92,7 +94,7 @@ class CoarseContact:
         """Let go of every friction anchor, and of what was near."""
         self.anchor_face.fill_(-1)
         self.anchor_weights.zero_()
-        self.candidate.fill_(-1)
+        self.candidate.fill_(frame_steps.UNKNOWN)
 
     def move_body(self, positions: np.ndarray) -> None:
         """Let the body go on to the coming frame [m], shape [body_vertex_count, 3]."""
@@ -108,12 +110,13 @@ class CoarseContact:
 
         The skinned garment tells where each vertex's outside is.
         """
-        wp.copy(self.body.points, self.points.last.reshape(self.body.points.shape))
+        for here, path in ((self.body.points, self.points), (self.body.normals, self.normals)):
+            wp.copy(here, path.last.reshape(here.shape))
         self._body_meshes[0].refit()
         inputs = [skin.last.reshape((1, self._count)), self._faces, *self._corners]
         self._launch(body_surface.vertex_normals, (1, self._count), inputs, [self._outward])
-        inputs = [positions, self._outward, self._limbs, self.body, self._reach]
-        self._launch(frame_steps.find_candidates, self._count, inputs, [self.candidate])
+        inputs = [positions, self._outward, self._limbs, self.body, self.points, self._reach]
+        self._launch(frame_steps.find_candidates, self._count, inputs, [self.found_from, self.candidate])
         if self._pair_count:
             self._find_pairs(positions)
 

@@ -104,6 +104,7 @@ class CoarseState:
         positions, velocities, before, velocities_before: Of all vertices, float64, shape [1, n, 3].
         anchor_faces, anchor_weights: Where friction holds on, shape [1, 2 n] and [1, 2 n, 3].
         candidates: What of the body is closest to each vertex, shape [n].
+        found_from: Where the vertices were when that was looked for [m], shape [1, n, 3].
         body, skin: Where the body and the skinned garments were in the last two frames [m], shape [2, count, 3].
         last_step: Length of the last time step [s], 0 where the next one is a first, shape [1].
     """
@@ -115,6 +116,7 @@ class CoarseState:
     anchor_faces: IntArray
     anchor_weights: NDArray[np.float32]
     candidates: IntArray
+    found_from: FloatArray
     body: NDArray[np.float32]
     skin: NDArray[np.float32]
     last_step: FloatArray

@@ -142,6 +142,7 @@ class CoarseSimulation:
             anchor_faces=contact_.anchor_face.numpy().copy(),
             anchor_weights=contact_.anchor_weights.numpy().copy(),
             candidates=contact_.candidate.numpy().copy(),
+            found_from=contact_.found_from.numpy().copy(),
             body=np.stack([points.last.numpy(), points.coming.numpy()]),
             skin=np.stack([skin.last.numpy(), skin.coming.numpy()]),
             last_step=np.array([self._last_step or 0.0]),
@@ -163,6 +164,7 @@ class CoarseSimulation:
         self._contact.anchor_face.assign(state.anchor_faces)
         self._contact.anchor_weights.assign(state.anchor_weights)
         self._contact.candidate.assign(state.candidates)
+        self._contact.found_from.assign(state.found_from)
         self._last_step = float(state.last_step[0]) or None
         self._show()
 

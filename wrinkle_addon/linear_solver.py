@@ -79,6 +79,7 @@ class BlockSystem:
         self._energy, self.first_energy = scalars(wp.float64), scalars(wp.float64)
         self._alpha, self._beta = scalars(wp.float32), scalars(wp.float32)
         self._active, self._iterations = scalars(wp.int32), scalars(wp.int32)
+        self._active.fill_(1)
 
     def assemble(self, positions: wp.array, inverse_dt2: wp.array, kept: wp.array) -> None:
         """Fill the blocks at ``positions`` (float64 [m]) for the elasticity and the contact planes as they stand.
@@ -162,7 +163,7 @@ class BlockSystem:
         what was found."""
         launch = _launcher(self._device)
         self._active.fill_(1)
-        self._multiply(self.solution, self._product)
+        self.multiply(self.solution, self._product)
         found = [self._residual, self._preconditioned]
         launch(linear.start_from, self.shape, [gradient, self._inverse, self._product], found)
         self._begin(moving)
@@ -173,8 +174,8 @@ class BlockSystem:
         """Let vertices whose entry is not 0 keep still in the next solve; after :meth:`precondition`, one world."""
         wp.launch(linear.hold_vertices, dim=self.shape, inputs=[held, self._inverse], device=self._device)
 
-    def _multiply(self, direction: wp.array, product: wp.array) -> None:
-        """``product`` = H ``direction``."""
+    def multiply(self, direction: wp.array, product: wp.array) -> None:
+        """``product`` = H ``direction``, in the worlds whose solve goes on: all, until one began."""
         launch = _launcher(self._device)
         launch(
             linear.pair_products,
@@ -257,7 +258,7 @@ class BlockSystem:
     def _iterate(self, tolerance: float) -> None:
         launch = _launcher(self._device)
         worlds = self.shape[0]
-        self._multiply(self._direction, self._product)
+        self.multiply(self._direction, self._product)
         self._dot(self._direction, self._product)
         scalars = [self._partial, self._energy, self._iterations, self._active]
         launch(linear.step_length, worlds, scalars, [self._alpha])

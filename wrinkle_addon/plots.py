@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +92,29 @@ def plot_influence(
     figure.savefig(path, dpi=120)
     pyplot.close(figure)
     return path
+
+
+def plot_flow(points: Sequence[tuple[int, float]], frame_mm: FloatArray, start: float, folder: Path) -> Path:
+    """Draw what a flow's error costs, and its error over the clip; returns the path.
+
+    Args:
+        points: Bytes and root mean square error [mm] of estimated flows, and last of the one that was made.
+        frame_mm: Its error in every frame [mm], shape [frame_count].
+        start: Scene frame of the first.
+        folder: For the PNG file.
+    """
+    pyplot = _pyplot()
+    folder.mkdir(parents=True, exist_ok=True)
+    figure, (curve, clip) = pyplot.subplots(1, 2, figsize=(10, 4))
+    sizes, errors = np.array(points[:-1]).reshape(-1, 2).T
+    curve.loglog(sizes / 1e6, errors, "o-", color=COLOURS["skinning"], label="estimated")
+    curve.loglog(points[-1][0] / 1e6, points[-1][1], "o", color=COLOURS["ours"], label="this file")
+    curve.set(xlabel="size (MB)", ylabel="RMS error (mm)", title="What an error costs")
+    curve.legend()
+    curve.grid(alpha=0.3, which="both")
+    clip.plot(start + np.arange(len(frame_mm)), frame_mm, label="this file", color=COLOURS["ours"])
+    clip.set(xlabel="frame", ylabel="RMS error (mm)", title="Error over the clip", ylim=(0, None))
+    return _finish(figure, clip, folder / "flow.png")
 
 
 def _pyplot() -> Any:

@@ -46,6 +46,10 @@ SPRING_SLIP = wp.constant(wp.float64(1.0))
 # Rounding of the distance to what was closest.
 CLOSEST = wp.constant(wp.float32(1.0 + 1.0e-4))
 
+# What a vertex is closest to that was never looked for, and the shortest way [m] that can lead through skin.
+UNKNOWN = wp.constant(-2)
+SHORTEST_WAY = wp.constant(wp.float32(1.0e-6))
+
 # Triangles that a closest point moves over at most in a step.
 WALK_STEPS = wp.constant(8)
 
@@ -192,17 +196,25 @@ def find_candidates(
     outward: wp.array2d[wp.vec3],
     limbs: wp.array[wp.int32],
     body: BodySurface,
+    points: Path,
     reach: ContactReach,
     # in and out
+    found_from: wp.array2d[wp.vec3d],
     candidate: wp.array[wp.int32],
 ):
     """The body's closest triangle that each vertex can touch, -1 where there is none: once a frame (W45).
 
-    Nothing farther away than what was closest in the frame before needs to be looked at.
+    Nothing farther away than what was closest in the frame before needs to be looked at. Other skin that the vertex
+    lies under counts only where it came through it since then: the closest skin of an arm that swept over cloth hanging
+    from the trunk is that of its far side, to which the cloth would be drawn through the arm. ``found_from`` is where
+    the vertices were when the body was at its path's beginning [m]; it is left where they are now.
     """
     vertex = wp.tid()
     p = wp.vec3(positions[0, vertex])
+    start = wp.vec3(found_from[0, vertex])
+    found_from[0, vertex] = positions[0, vertex]
     held = candidate[vertex]
+    unknown = held == UNKNOWN
     near = ContactReach()
     near.radius = reach.radius
     near.least_cosine = reach.least_cosine
@@ -212,8 +224,36 @@ def find_candidates(
             near.radius = wp.min(reach.radius, CLOSEST * distance_to_triangle(body, p, held))
         else:
             held = -1
-    found, _w, _passed = find_skin(body, near, 0, p, limbs[vertex], outward[0, vertex])
-    candidate[vertex] = wp.where(found >= 0, found, held)
+    found, w, _passed = find_skin(body, near, 0, p, limbs[vertex], outward[0, vertex])
+    if found >= 0 and found != held and not unknown:
+        _closest, _direction, gap = side_of_skin(body, 0, p, found, w)
+        if gap < 0.0:
+            found = skin_passed(body, points, found, start, p)
+            if found >= 0:
+                facing = face_direction(body.points, body.faces, 0, found)
+                if not is_worn(body.limb[found], limbs[vertex], facing, outward[0, vertex], reach.least_cosine):
+                    found = -1
+    candidate[vertex] = wp.where(found >= 0, found, wp.max(held, -1))
+
+
+@wp.func
+def skin_passed(body: BodySurface, points: Path, near: wp.int32, start: wp.vec3, end: wp.vec3) -> wp.int32:
+    """The first triangle through which a vertex went inwards on its way from ``start`` to ``end`` [m], -1 if none.
+
+    The way is the one that it took relative to the triangle ``near`` its end, which moved meanwhile.
+    """
+    drift = wp.vec3()
+    for k in range(3):
+        corner = body.faces[near, k]
+        drift += (points.last[corner] - points.earlier[corner]) / 3.0
+    begun = start + drift
+    length = wp.length(end - begun)
+    if length < SHORTEST_WAY:
+        return -1
+    ray = wp.mesh_query_ray(body.meshes[0], begun, (end - begun) / length, length)
+    if not ray.result or ray.sign <= 0.0:
+        return -1
+    return ray.face
 
 
 @wp.func

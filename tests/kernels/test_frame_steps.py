@@ -62,10 +62,15 @@ def ball(device):
     return positions, faces, body, meshes, points, directions
 
 
-def candidates(ball, device, known):
-    _, _, body, _, points, directions = ball
+UNKNOWN = int(frame_steps.UNKNOWN)
+
+
+def candidates(ball, device, known, came_from=None, moved=(0.0, 0.0, 0.0)):
+    """What is close to points that were elsewhere, and to a ball that has moved by ``moved`` since."""
+    positions, _, body, _, points, directions = ball
     count = len(points)
     found = wp.array(known, dtype=wp.int32, device=device)
+    found_from = wp.array(points[None] if came_from is None else came_from[None], dtype=wp.vec3d, device=device)
     wp.launch(
         frame_steps.find_candidates,
         dim=count,
@@ -74,29 +79,63 @@ def candidates(ball, device, known):
             wp.array(directions[None].astype(np.float32), dtype=wp.vec3, device=device),
             wp.ones(count, dtype=wp.int32, device=device),
             body,
+            path(device, positions - moved, positions, positions),
             reach_of(ContactSettings(radius=0.1)),
+            found_from,
             found,
         ],
         device=device,
     )
+    np.testing.assert_array_equal(found_from.numpy()[0], points)
     return found.numpy()
 
 
-def test_candidates_are_the_closest_triangles_whatever_was_close_before(device, ball):
+def from_ball(ball):
+    """Distance of each point to every triangle [m], and whether it lies in the ball; facets lie up to 3 mm inside."""
     positions, faces, _, _, points, _ = ball
     distances = np.array([[np.linalg.norm(p - closest_point(p, positions[f])) for f in faces] for p in points])
+    return distances, np.linalg.norm(points, axis=1) < 0.097
+
+
+def test_candidates_are_the_closest_triangles_whatever_was_close_before(device, ball):
+    distances, inside = from_ball(ball)
+    count, triangles = distances.shape
     rng = np.random.default_rng(3)
-    for known in (np.full(len(points), -1), distances.argsort(1)[:, 5], rng.integers(0, len(faces), len(points))):
-        found = candidates(ball, device, known)
-        chosen = distances[np.arange(len(points)), found]
+    unknown = np.full(count, UNKNOWN)
+    known = unknown, np.full(count, -1), distances.argsort(1)[:, 5], rng.integers(0, triangles, count)
+    for before in known:
+        found = candidates(ball, device, before)
+        counts = (np.linalg.norm(ball[4], axis=1) > 0.1) | (before is unknown)
+        chosen = distances[np.arange(count), found]
         # Equally near ones differ by the rounding of float32.
-        np.testing.assert_allclose(chosen, distances.min(1), atol=1e-6)
+        np.testing.assert_allclose(chosen[counts], distances.min(1)[counts], atol=1e-6)
+        if before is not unknown:
+            # What was in the ball a frame ago already has not come through its skin since.
+            assert ((found == before) | (found == -1))[inside].all()
+
+
+@pytest.mark.parametrize("moving", ["the points", "the ball"])
+def test_skin_that_was_passed_through_is_where_a_vertex_came_in(device, ball, moving):
+    """All by the same way: along x, as seen from the ball."""
+    positions, faces, _, _, points, outward = ball
+    _, inside = from_ball(ball)
+    way = np.array([0.3, 0.0, 0.0])
+    came_from, moved = (points + way, np.zeros(3)) if moving == "the points" else (points, way)
+    outward[:] = [1.0, 0.0, 0.0]
+    found = candidates(ball, device, np.full(len(points), -1), came_from, moved)
+    entered = positions[faces[found[inside]]].mean(1)
+    across = points[inside][:, 1:]
+    assert inside.sum() > 5
+    beside = np.concatenate([np.sqrt(0.1**2 - (across**2).sum(1))[:, None], across], 1)
+    # Edges are 3 cm long, and longer along x where the ball slopes away.
+    assert np.linalg.norm((entered - beside)[:, 1:], axis=1).max() < 0.03
+    assert (entered[:, 0] > 0.0).all()
 
 
 def test_planes_follow_a_body_that_has_moved_on_and_lie_off_its_skin(device, ball):
     """From candidates of the body where it was, a little turned and shifted since."""
     positions, _, body, _, points, _ = ball
-    known = candidates(ball, device, np.full(len(points), -1))
+    known = candidates(ball, device, np.full(len(points), UNKNOWN))
     angle, shift, lift = 0.1, np.array([0.01, 0.0, -0.005]), 0.004
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

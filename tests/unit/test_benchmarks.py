@@ -18,6 +18,7 @@ FIGURES = {
     "peers": ("times_faster_than_cloth", "ratio_to_shape_keys"),
     "sample": ("seconds",),
     "coarse": ("frame_ms", "times_faster_than_fine", "times_faster_than_blender_cloth"),
+    "flow": ("times_smaller_than_pc2", "rmse_mm", "frame_ms"),
     "table": ("fps", "frame_ms"),
     "solvers": ("settled_seconds", "stepped_times_ours", "blender_times_ours", "blender_level_mm"),
 }

@@ -8,12 +8,12 @@ import pytest
 from baked_dolls import baked, bump, full_plan
 from cloth_shapes import sphere, tube
 from dolls import Doll, doll
-from wrinkle_synthesis.wrinkle_addon.wearer import worn_limbs
 from wrinkle_synthesis.wrinkle_addon.evaluate import EvaluatedFrame, evaluate
 from wrinkle_synthesis.wrinkle_addon.joint_wrinkles import JointWrinkles
 from wrinkle_synthesis.wrinkle_addon.penetration import PushOut, bind_clearance
 from wrinkle_synthesis.wrinkle_addon.rig import pose_of_angles
 from wrinkle_synthesis.wrinkle_addon.surface import BodyVolume, SurfaceMeasures
+from wrinkle_synthesis.wrinkle_addon.wearer import worn_limbs
 
 
 def test_a_sphere_has_the_curvature_of_its_radius():

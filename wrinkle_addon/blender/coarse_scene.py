@@ -21,11 +21,10 @@ from ..cloth_model import build_cloth_model
 from ..coarse_bake import CoarseHistory, SceneFrame
 from ..coarse_cache import CoarseCache, CoarseSpec, Motion, Points
 from ..coarse_simulation import CoarseLayer, CoarseSimulation, CoarseState
+from ..coarse_version import source_version
 from ..wearer import limb_directions, worn_limbs
 from .character import read_garment, read_group, read_mesh, rig_from_world, sampling_stage
 
-COARSE_VERSION = 1
-"""Raised whenever the coarse simulation gives another motion for the same input."""
 SIMULATION = "SIMULATION"
 """A garment's coarse layer is our own simulation of its coarse mesh."""
 BODY_POINTS = 256
@@ -73,7 +72,7 @@ def read_spec(garments: Sequence[bpy.types.Object], scene: bpy.types.Scene) -> C
         body=_hash(*read_mesh(garments[0].wrinkles.body.data)),
         settings={ob.name: {**_settings(ob), "body_proxy": _proxy_size(garments)} for ob in garments},
         fps=frame_rate(scene),
-        solver=f"{SOLVER_VERSION}.{COARSE_VERSION}",
+        solver=f"{SOLVER_VERSION}.{source_version()}",
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import bpy
 import numpy as np
 
@@ -64,7 +66,14 @@ def _keys(edges: IntArray) -> IntArray:
     return ends[:, 0] << 32 | ends[:, 1]
 
 
-def match_rig(armature: bpy.types.Object, header: DatabaseHeader) -> float:
+class OfRig(Protocol):
+    """Something that was made for a rig."""
+
+    @property
+    def rig(self) -> Rig: ...
+
+
+def match_rig(armature: bpy.types.Object, header: OfRig) -> float:
     """Metres of the bake per unit of the armature's own space, if its bones still rest as they did.
 
     It comes from the bones themselves, so that a character scaled as a whole keeps its wrinkles.

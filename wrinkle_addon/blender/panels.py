@@ -62,7 +62,7 @@ def _draw_status(context: bpy.types.Context, layout: bpy.types.UILayout, garment
         box.alert = True
         _say(context, box, status.error, icon="ERROR")
         return
-    if status.player is None:
+    if status.player is None or garment.wrinkles.flow.replays:
         return
     for name, beyond in status.player.clamped.items():
         angle = float(np.degrees(np.abs(beyond).max()))

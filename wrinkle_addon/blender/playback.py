@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
@@ -28,6 +29,9 @@ from .matching import check_mesh, match_rig
 from .node_group import find_modifier, shows_all
 from .preferences import device_name
 from .write import make_writable, rest_skinning, show_positions, show_skinned, wake_skinning
+
+if TYPE_CHECKING:
+    from .flow_playback import FlowFile
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,9 @@ class Source:
             settings.armature.session_uid,
         )
 
+    def player(self, garment: bpy.types.Object) -> Player:
+        return Player(garment, self)
+
 
 class Player:
     """One garment's database, bound to a device, and all arrays that playing needs.
@@ -75,6 +82,8 @@ class Player:
     Raises:
         ValueError: One sentence, if the database cannot be read, or is not of this garment and its rig.
     """
+
+    source: Source | FlowFile
 
     def __init__(self, garment: bpy.types.Object, source: Source):
         device = choose_device(source.device)
@@ -115,7 +124,7 @@ class Player:
         Raises:
             ValueError: One sentence that says what changed since the bake.
         """
-        glance = _glance(garment)
+        glance = glance_at(garment)
         if glance == self._checked:
             return
         self.doubt()
@@ -167,7 +176,7 @@ class Player:
             wp.copy(self._host, self._positions)
             wp.synchronize_device(self._positions.device)
         show_positions(garment, self._host_view, frame)
-        (rest_skinning if _animation.plays and _is_covered(evaluated) else wake_skinning)(garment)
+        let_rest(garment, evaluated)
         self._inputs = inputs
 
     def _placement(self, garment: bpy.types.Object, armature: bpy.types.Object) -> FloatArray:
@@ -178,7 +187,7 @@ class Player:
         return placement
 
 
-def _glance(garment: bpy.types.Object) -> tuple[object, ...]:
+def glance_at(garment: bpy.types.Object) -> tuple[object, ...]:
     """What tells a changed mesh or rig at a glance; what edit mode does to a mesh besides is found on leaving it."""
     mesh, bones = garment.data, garment.wrinkles.armature.data.bones
     rest = np.empty(16 * len(bones), np.float32)
@@ -201,7 +210,7 @@ class Status:
     """
 
     player: Player | None = None
-    failed: tuple[Source, str] | None = None
+    failed: tuple[Source | FlowFile, str] | None = None
     error: str = ""
 
 
@@ -260,7 +269,7 @@ def _play_garment(
     if not _is_shown(garment, depsgraph):
         wake_skinning(garment)
         return
-    source = Source.of(garment)
+    source = garment.wrinkles.flow.source() or Source.of(garment)
     armature = garment.wrinkles.armature.evaluated_get(depsgraph)
     if not armature.is_evaluated:
         raise ValueError(
@@ -282,20 +291,25 @@ def _is_shown(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool
     return modifier.show_render if depsgraph.mode == "RENDER" else modifier.show_viewport
 
 
+def let_rest(garment: bpy.types.Object, evaluated: bpy.types.Object) -> None:
+    """Leave out the skinning of a garment that is shown in full while the animation plays."""
+    (rest_skinning if _animation.plays and _is_covered(evaluated) else wake_skinning)(garment)
+
+
 def _is_covered(evaluated: bpy.types.Object) -> bool:
     """Whether played positions leave nothing of the skinned shape to see; Factor and Mask may be animated."""
     modifier = find_modifier(evaluated)
     return modifier is not None and shows_all(modifier)
 
 
-def _player(garment: bpy.types.Object, source: Source, known: Status) -> Player:
+def _player(garment: bpy.types.Object, source: Source | FlowFile, known: Status) -> Player:
     if known.player is not None and known.player.source == source:
         return known.player
     if known.failed is not None and known.failed[0] == source:
         raise ValueError(known.failed[1])
     known.player = known.failed = None
     try:
-        known.player = Player(garment, source)
+        known.player = source.player(garment)
     except Exception as error:
         known.failed = source, _sentence(error)
         raise

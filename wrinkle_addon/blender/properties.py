@@ -17,6 +17,7 @@ from ..wearer import BakeSettings
 from . import playback
 from .coarse_layer import MESH, NONE, choose_coarse, tie_coarse
 from .coarse_scene import SIMULATION
+from .flow_properties import FlowSettings
 from .node_group import add_modifier, set_mask
 from .write import show_skinned
 
@@ -296,6 +297,7 @@ class GarmentSettings(bpy.types.PropertyGroup):
         override=_OVERRIDABLE,
         update=_played_anew,
     )
+    flow: bpy.props.PointerProperty(type=FlowSettings, override=_OVERRIDABLE)
     joints: bpy.props.CollectionProperty(type=JointSettings, override=_OVERRIDABLE)
     skinning_rests: bpy.props.BoolProperty(
         options={"HIDDEN"}, description="The Armature modifier is off as long as the animation plays"

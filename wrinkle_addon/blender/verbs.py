@@ -8,7 +8,7 @@ from typing import Any
 
 import bpy
 
-from . import handlers, verbs_bake, verbs_influence, verbs_play, verbs_setup
+from . import handlers, verbs_bake, verbs_flow, verbs_influence, verbs_play, verbs_setup
 
 VERBS: Mapping[str, Callable[[argparse.Namespace], Mapping[str, Any]]] = {
     "setup": verbs_setup.setup,
@@ -21,6 +21,7 @@ VERBS: Mapping[str, Callable[[argparse.Namespace], Mapping[str, Any]]] = {
     "simulate": verbs_play.simulate,
     "evaluate": verbs_play.evaluate,
     "influence": verbs_influence.influence,
+    "flow": verbs_flow.flow,
 }
 """Each gives a JSON object, with "text" for people and, if it is not 0, "exit_code"."""
 

@@ -1,0 +1,157 @@
+"""A wrinkle flow on a garment: replayed in the handler, the modifier and the panel of the wrinkle database."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import bpy
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ..flow import Ends, FlowMethod, Timing
+from ..flow_file import read_flow
+from ..folder_verbs import choose_device
+from ..rig import FloatArray, Pose
+from . import playback
+from .armature import PoseReader, rig_scale
+from .flow_recording import mesh_topology
+from .matching import match_rig
+from .preferences import device_name
+from .write import make_writable, show_positions
+
+
+@dataclass(frozen=True)
+class FlowFile:
+    """What a flow's player is made from; see :class:`.playback.Source`."""
+
+    path: str
+    device: str
+    armature: int
+
+    @staticmethod
+    def of(garment: bpy.types.Object) -> FlowFile:
+        """The flow that a garment's settings name.
+
+        Raises:
+            ValueError: If they name none; one sentence.
+        """
+        settings = garment.wrinkles
+        if settings.armature is None:
+            raise ValueError(f"The garment '{garment.name}' has no armature; set it up again.")
+        if not settings.flow.path:
+            raise ValueError(f"The garment '{garment.name}' has no flow; compress a recording, or choose one.")
+        return FlowFile(bpy.path.abspath(settings.flow.path), device_name(), settings.armature.session_uid)
+
+    def player(self, garment: bpy.types.Object) -> FlowPlayer:
+        return FlowPlayer(garment, self)
+
+
+class FlowPlayer(playback.Player):
+    """One garment's flow, bound to a device, and all arrays that replaying needs; its note tells of the last frame.
+
+    Raises:
+        ValueError: One sentence, if the flow cannot be read, or is not of this garment and its rig.
+    """
+
+    def __init__(self, garment: bpy.types.Object, source: FlowFile):
+        device = choose_device(source.device)
+        self.source = source
+        self.flow = read_flow(Path(source.path))
+        self._outside = ""
+        self.doubt()
+        self.check(garment)
+        make_writable(garment)
+        self.rig_key = (source.armature, self.flow.rig.fingerprint())
+        self._evaluator = FlowMethod(self.flow).bind(device)
+        self._positions = wp.zeros(self.flow.vertex_count, dtype=wp.vec3, device=device)
+        on_cpu = self._positions.device.is_cpu
+        self._host = self._positions if on_cpu else wp.zeros_like(self._positions, device="cpu", pinned=True)
+        self._host_view: NDArray[np.float32] = self._host.numpy()
+
+    @cached_property
+    def summary(self) -> str:
+        """What is replayed, for the panel."""
+        flow = self.flow
+        return (
+            f"{flow.vertex_count} vertices, {flow.frame_count} frames, {flow.component_count} components, "
+            f"{flow.stored_bytes / 1e6:.2f} MB, error {flow.header.rms_mm:.3g} mm"
+        )
+
+    @property
+    def note(self) -> str:
+        return self._outside
+
+    @property
+    def clamped(self) -> Mapping[str, FloatArray]:
+        return {}
+
+    def check(self, garment: bpy.types.Object) -> None:
+        """Compare the garment's mesh and rig with the flow, if there is reason to.
+
+        Raises:
+            ValueError: One sentence that says what changed since the recording.
+        """
+        glance = playback.glance_at(garment)
+        if glance == self._checked:
+            return
+        self.doubt()
+        check_flow_mesh(garment, self.flow.header.topology, self.flow.vertex_count)
+        armature = garment.wrinkles.armature
+        self._scale = match_rig(armature, self.flow)
+        self._reader = PoseReader(armature, self.flow.rig)
+        self._to_bake = self._scale / rig_scale(armature)
+        self._checked = glance
+
+    def doubt(self) -> None:
+        self._checked = self._inputs = None
+
+    def play(
+        self, garment: bpy.types.Object, pose: Pose, depsgraph: bpy.types.Depsgraph, *, only_changes: bool = False
+    ) -> None:
+        """Show the garment in a pose, with the wrinkles of the scene's frame; see :meth:`.playback.Player.play`."""
+        evaluated = garment.evaluated_get(depsgraph)
+        placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
+        strength = evaluated.wrinkles.strength
+        timing = timing_of(evaluated)
+        frame = depsgraph.scene.frame_current_final
+        inputs = (pose.matrices.tobytes(), placement.tobytes(), strength, timing, frame)
+        if only_changes and inputs == self._inputs:
+            return
+        self._evaluator.timing = timing
+        self._evaluator.evaluate(pose, self._positions, strength, placement, frame=frame)
+        self._outside = describe_outside(self._evaluator.outside)
+        if self._host is not self._positions:
+            wp.copy(self._host, self._positions)
+            wp.synchronize_device(self._positions.device)
+        show_positions(garment, self._host_view, frame)
+        playback.let_rest(garment, evaluated)
+        self._inputs = inputs
+
+
+def timing_of(garment: bpy.types.Object) -> Timing:
+    """Which part of its flow a garment shows when; its settings may be animated, so ask the evaluated object."""
+    settings = garment.wrinkles.flow
+    return Timing(settings.offset, settings.speed, Ends[settings.ends])
+
+
+def describe_outside(samples: float) -> str:
+    """What to say of a frame that lies outside of the recording by some samples; empty inside."""
+    return f"{samples:g} frames outside of the recording: its end is held" if samples else ""
+
+
+def check_flow_mesh(garment: bpy.types.Object, topology: str, vertex_count: int) -> None:
+    """Refuse a garment of another topology than the recorded one.
+
+    Raises:
+        ValueError: One sentence that says what differs, and what to do.
+    """
+    mesh = garment.data
+    if len(mesh.vertices) != vertex_count or mesh_topology(mesh) != topology:
+        raise ValueError(
+            f"The garment '{garment.name}' is not the recorded mesh: it has {len(mesh.vertices)} vertices, the flow "
+            f"{vertex_count}, or other faces; undo the change, choose its own flow, or compress a recording of it."
+        )
