@@ -36,6 +36,7 @@ class BodyClearance:
         # The body that the garment was bound to, as glanced at, and why it could not be.
         self._bound: tuple[object, str] | None = None
         self._rest: Body | None = None
+        self._skin: SkinWeights | None = None
         self._push: PushOut | None = None
         self.note = ""
 
@@ -65,10 +66,10 @@ class BodyClearance:
 
     def _read(
         self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph, pose: Pose, placement: FloatArray
-    ) -> NDArray[np.float32] | None:
+    ) -> NDArray[np.float32]:
         body = check_body_object(garment.wrinkles.body)
-        self._bind(garment, placement)
-        assert self._push is not None and self._rest is not None
+        self._bind(garment, depsgraph, placement)
+        assert self._push is not None and self._rest is not None and self._skin is not None
         self._push.set_distance(garment.wrinkles.clearance)
         shown = _shown_body(body, depsgraph)
         if shown is not None and len(shown.data.vertices) == len(body.data.vertices):
@@ -82,12 +83,14 @@ class BodyClearance:
         moved = self._skin.carry(placement @ deformations, self._rest.positions)
         return moved.astype(np.float32)
 
-    def _bind(self, garment: bpy.types.Object, placement: FloatArray) -> None:
+    def _bind(self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph, placement: FloatArray) -> None:
         """See to it that the garment is bound to this body; once for each, as it takes some tenths of a second."""
         body = garment.wrinkles.body
         glance = body.session_uid, body.data.session_uid, len(body.data.vertices)
         if self._bound is None or self._bound[0] != glance:
-            to_garment = np.array(garment.matrix_world.inverted_safe() @ body.matrix_world, np.float64)
+            # As placed in this frame, like the placement: a render does not move the originals.
+            worn, skin = (ob.evaluated_get(depsgraph).matrix_world for ob in (garment, body))
+            to_garment = np.array(worn.inverted_safe() @ skin, np.float64)
             rig = self._database.header.rig
             try:
                 self._rest = rest_body(body, rig, np.linalg.inv(placement) @ to_garment)
