@@ -37,6 +37,12 @@ STANDARD_GRAVITY = 9.80665
 EXPELLED_DEPTH = 0.001
 
 
+# On its way to equilibrium a garment soon changes little: after so many linearisations ...
+YOUNG_ITERATIONS = 8
+# ... a preconditioner serves for so many.
+PRECONDITIONED = 4
+
+
 class ClothSimulation:
     """Simulates ``world_count`` copies of a garment, each on its own body of one topology.
 
@@ -243,6 +249,7 @@ class ClothSimulation:
         taken = np.ones(self.world_count)
         iteration = linear_total = 0
         self._rest()
+        self._contact.look_everywhere()
         for iteration in range(max_iterations + 1):
             self._contact.find(self._positions, self._moving, self._moving)
             self._set_inertia(self.positions, np.zeros(self.world_count))
@@ -257,7 +264,9 @@ class ClothSimulation:
             self._moving.assign(moving.astype(np.int32))
             self._inverse_dt2.assign(1.0 / safeguards.span**2)
             self._kept.assign(safeguards.kept)
-            iterations, taken = self._newton_step(safeguards.share)
+            iterations, taken = self._newton_step(
+                safeguards.share, precondition=iteration < YOUNG_ITERATIONS or iteration % PRECONDITIONED == 0
+            )
             linear_total += iterations
         self._moving.fill_(1)
         self._kept.zero_()
@@ -320,17 +329,18 @@ class ClothSimulation:
         # Only now: a search that overshoots and comes back must not drag the anchors along.
         self._contact.follow(self._positions, self._moving)
 
-    def _newton_step(self, share: FloatArray | float = 1.0) -> tuple[int, FloatArray]:
+    def _newton_step(self, share: FloatArray | float = 1.0, *, precondition: bool = True) -> tuple[int, FloatArray]:
         """One linearisation at the frozen contact and the gradient: conjugate gradients, then the line search.
 
         Args:
             share: Most of its step that each world takes.
+            precondition: Whether the preconditioner is made anew, else that of an earlier step serves on.
 
         Returns the iterations of the former and the share of its step that the latter left each world.
         """
         settings = self.solver_settings
         before = self._evaluate_energy()
-        self._linearise()
+        self._linearise(precondition=precondition)
         iterations = self._system.solve(
             self._gradient, self._moving, settings.linear_tolerance, settings.linear_iterations
         )
@@ -358,11 +368,12 @@ class ClothSimulation:
         if not np.isfinite(measures).all():
             raise find_divergence(self.positions, self._gradient.numpy())
 
-    def _linearise(self) -> None:
-        """The linear system, and a preconditioner for it that no compressive stress makes indefinite."""
-        self._assemble(self._nothing_kept)
-        self._system.precondition(self._positions)
-        if self._kept.numpy().any():
+    def _linearise(self, *, precondition: bool = True) -> None:
+        """The linear system and, if asked for, a new preconditioner for it that no compressive stress makes indefinite."""
+        if precondition:
+            self._assemble(self._nothing_kept)
+            self._system.precondition(self._positions)
+        if not precondition or self._kept.numpy().any():
             self._assemble(self._kept)
 
     def _assemble(self, kept: wp.array) -> None:

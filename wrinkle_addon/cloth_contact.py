@@ -185,6 +185,7 @@ class ContactSearch:
         for mesh in self._body_meshes:
             mesh.refit()
         self._held_face.fill_(-1)
+        self.look_everywhere()
         self._launch(
             body_surface.vertex_normals,
             self._body.points.shape,
@@ -199,13 +200,19 @@ class ContactSearch:
 
     def set_outward(self, directions: FloatArray) -> None:
         """Outward unit vectors of the garment's vertices, shape [world_count, vertex_count, 3]."""
+        self.look_everywhere()
         self._outward.assign(directions.astype(np.float32))
+
+    def look_everywhere(self) -> None:
+        """Let the next search look around every vertex, also where it last found free space."""
+        self._free.radius.zero_()
 
     def forget(self) -> None:
         """Let go of every friction anchor and every touched wall."""
         self.anchor_face.fill_(-1)
         self.anchor_weights.zero_()
         self._held_face.fill_(-1)
+        self.look_everywhere()
 
     def find(self, positions: wp.array, following: wp.array, remembering: wp.array | None = None) -> None:
         """Freeze contact at these positions (float64 [m]): planes, friction anchors and bounds, pairs.
@@ -252,6 +259,7 @@ class ContactSearch:
 
     def clearance(self, positions: wp.array) -> NDArray[np.float32]:
         """Signed distance of every vertex to the body [m], negative inside, 1e6 far away."""
+        self.look_everywhere()
         self._find_planes(positions)
         gap = wp.zeros(self._shape, dtype=wp.float32, device=self._device)
         self._launch(contact.measure_depth, self._shape, [positions, self._planes], [gap])
@@ -260,7 +268,7 @@ class ContactSearch:
     def _find_planes(self, positions: wp.array, remembering: wp.array | None = None) -> None:
         remembering = self._none if remembering is None else remembering
         inputs = [positions, self._outward, self._limbs, self._body, self._body_reach, remembering]
-        found = [self._held_face, self._held_weights, self._planes]
+        found = [self._held_face, self._held_weights, self._free, self._planes]
         self._launch(contact_planes.find_contact_planes, self._shape, inputs, found)
 
     def _find_pairs(self, positions: wp.array) -> None:
@@ -308,6 +316,8 @@ class ContactSearch:
         self._body_reach = reach_of(settings)
         self._law = law_of(settings, self._fabric)
         self._planes, self.frozen = make_planes(settings, shape, self._device)
+        self._free = contact_planes.FreeSpace()
+        self._free.centre, self._free.radius = self._zeros(self._shape, wp.vec3d), self._zeros(self._shape, wp.float32)
         self._outward, self._none = self._zeros(self._shape, wp.vec3), self._zeros(self._shape[0], wp.int32)
         self._held_face, self._held_weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)
         self.anchor_face, self.anchor_weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)

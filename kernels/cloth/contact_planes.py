@@ -28,6 +28,8 @@ STEEPEST = wp.constant(2.0)
 # Below this [m] two places on the skin are one.
 SKIN = wp.constant(1.0e-4)
 NOWHERE = wp.constant(1.0e6)
+# A vertex that has this many thicknesses of free space around it touches nothing, nor will after the next step.
+CLEAR_THICKNESSES = wp.constant(2.0)
 # A vertex this far below its skin [m] must be in the body, where the winding number, to this accuracy, is at least so
 # much: a half of what it is in a closed one, as under a single wall it is no more than one half.
 ACCURACY = wp.constant(2.0)
@@ -50,6 +52,19 @@ class ContactPlanes:
     point: wp.array2d[wp.vec3d]
     normal: wp.array2d[wp.vec3d]
     hollow: wp.array2d[wp.vec3]
+
+
+@wp.struct
+class FreeSpace:
+    """The ball of every vertex, [world_count, vertex_count], that no skin reached into when it was last looked for.
+
+    Attributes:
+        centre: Where the vertex was [m].
+        radius: How far the closest skin was [m], 0 if it is to be looked for in any case.
+    """
+
+    centre: wp.array2d[wp.vec3d]
+    radius: wp.array2d[wp.float32]
 
 
 @wp.struct
@@ -215,13 +230,18 @@ def find_first_plane(
     x: wp.vec3d,
     limbs: wp.int32,
     outward: wp.vec3,
+    free: FreeSpace,
 ) -> wp.bool:
     """The plane at the closest skin that the vertex is worn on; whether there is one."""
     found, w, passed = find_skin(body, reach, world, wp.vec3(x), limbs, outward)
+    free.centre[world, vertex] = x
+    free.radius[world, vertex] = wp.where(passed, 0.0, reach.radius)
     if found < 0:
         return False
     p = wp.vec3(x)
     closest, direction, gap = side_of_skin(body, world, p, found, w)
+    if not passed:
+        free.radius[world, vertex] = gap
     # Worn skin far above, beyond skin that is nearer and not worn, is the other side of a limb.
     if passed and gap < -reach.depth:
         return False
@@ -301,19 +321,23 @@ def find_contact_planes(
     # in and out
     held_face: wp.array2d[wp.int32],
     held_weights: wp.array2d[wp.vec3],
+    free: FreeSpace,
     planes: ContactPlanes,
 ):
-    """Contact planes of every vertex.
+    """Contact planes of every vertex; those of a vertex that is still in free space stay as they are.
 
     ``held_face`` and ``held_weights`` are the triangles touched before; worlds that are ``remembering`` store here what
     is touched now.
     """
     world, vertex = wp.tid()
     x = positions[world, vertex]
+    moved = wp.float32(wp.length(x - free.centre[world, vertex]))
+    if free.radius[world, vertex] - moved > CLEAR_THICKNESSES * reach.thickness:
+        return
     first = vertex * PLANES
     planes.face[world, first] = -1
     planes.face[world, first + 1] = -1
-    if find_first_plane(planes, body, reach, world, vertex, x, limbs[vertex], outward[world, vertex]):
+    if find_first_plane(planes, body, reach, world, vertex, x, limbs[vertex], outward[world, vertex], free):
         gap = find_facing_plane(planes, body, reach, world, vertex, x)
         for k in range(PLANES):
             held = held_face[world, first + k]
