@@ -108,9 +108,8 @@ def test_a_clamped_strip_comes_closer_to_the_elastica_on_a_finer_mesh(device, ra
         assert simulation.settle(0.001, 150).converged
         end = simulation.positions[0][rest[:, 0] > length - 1e-9].mean(0)
         off.append(np.linalg.norm(end[[0, 2]] - heavy_elastica(length, stiffness, density)) / length)
-    # Second order in theory; at least halved. The stiff strip does not come to rest on a finer mesh: its bending
-    # stiffness is 10^7 times as large for the shortest wave as for the longest, more than conjugate gradients in
-    # float32 bear.
+    # Second order in theory; at least halved. The stiff strip does not come to rest on a finer mesh: its stiffest
+    # motion against the softest is 10^7 to 1, more than stiffness in float32 bears.
     assert all(fine < 0.5 * coarse for coarse, fine in itertools.pairwise(off))
 
 

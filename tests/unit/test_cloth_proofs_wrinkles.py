@@ -228,7 +228,13 @@ class StretchedSheet:
             self.simulation.hessian(x)[out][:, out].tocsc() for x in (self.simulation.positions[0], self.rest)
         )
         values, modes = linalg.eigsh(
-            resting - stretched, k=1, M=resting, which="LA", v0=1.0 + np.arange(len(out)) % 7, ncv=60, tol=1e-4
+            resting - stretched,
+            k=1,
+            M=resting,
+            which="LA",
+            v0=1.0 + np.arange(len(out)) % 7,
+            ncv=60,
+            tol=1e-4,  # pyright: ignore[reportArgumentType]
         )
         height = np.zeros(len(self.rest))
         height[~self.ends] = modes[:, 0]
