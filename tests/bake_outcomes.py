@@ -46,7 +46,12 @@ def check_sentence(drawn: RandomBake, sentence: str, reports: dict) -> None:
     if not any(named in sentence for named in ("he garment '", "of the garment", "The body is")):
         what, place = sentence.split(": ", 1)
         assert what == "The rest pose" or what.removeprefix("Sample ") in {s.name for s in drawn.plan.samples}, sentence
-        assert any(bone in place for bone in drawn.character.rig.names) and "vertex" in place, sentence
+        check_place(drawn, place)
+
+
+def check_place(drawn: RandomBake, place: str) -> None:
+    """A bone and a vertex are named."""
+    assert any(bone in place for bone in drawn.character.rig.names) and "vertex" in place, place
 
 
 def check_files(folder: Path, finished: set[str]) -> None:
@@ -74,12 +79,15 @@ def check_report(
     """Every number of a report is found again by other means."""
     positions, faces = source.wearer.positions, job.garment.faces
     assert np.isfinite(positions).all()
+    assert np.isfinite([value for value in report.values() if isinstance(value, float)]).all()
     # Reports are rounded to four digits; anchors of friction are read back from float32, which deep contact magnifies.
     assert report["whole_residual"] == pytest.approx(source.wearer.simulation.relative_residual()[0], rel=0.2, abs=1e-4)
     assert report["residual"] <= report["whole_residual"] + 1e-4
     tolerance = job.settings.settle_tolerance if tolerance is None else tolerance
     assert report["residual"] <= tolerance + 1e-4 if report["converged"] else report["residual"] >= tolerance - 1e-4
     assert ("restless" in report) == (not report["converged"])
+    if "restless" in report:
+        check_place(drawn, report["restless"])
     body = drawn.character.positions(pose)
     inside = deeper_than(0.001, positions, body, job.body.faces)
     assert report["inside"] + report["inside_overlap"] == pytest.approx(inside, abs=2)

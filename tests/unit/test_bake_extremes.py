@@ -12,7 +12,7 @@ from bake_outcomes import outcome_of
 from dolls import Array, Doll, tube_along
 from random_bakes import RADII, RANGES, RandomBake, kept, limb, path, with_slivers
 from skeletons import scaled
-from wrinkle_synthesis.wrinkle_addon.fabrics import Fabric, Material
+from wrinkle_synthesis.wrinkle_addon.fabrics import FABRICS, Fabric, Material
 from wrinkle_synthesis.wrinkle_addon.garment import Garment, skin_garment
 from wrinkle_synthesis.wrinkle_addon.joints import find_joints, with_ranges
 from wrinkle_synthesis.wrinkle_addon.plan import JointGrid, SamplePlan
@@ -113,6 +113,13 @@ def pair(positions: Array, faces: Array) -> tuple[Array, Array]:
 @pytest.mark.parametrize("spoil", [strip, cuff, pair])
 def test_a_garment_of_next_to_nothing(spoil: Callable, tmp_path: Path):
     settled(bake_of(spoil=spoil), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name == "thin" else pytest.mark.long) for name in FABRICS]
+)
+def test_a_garment_of_any_fabric_from_the_thinnest_to_the_stiffest(name: str, tmp_path: Path):
+    settled(bake_of(fabric=FABRICS[name]), tmp_path)
 
 
 def test_faces_that_are_not_sewn_together_are_refused(tmp_path: Path):

@@ -4,6 +4,8 @@ A row of pinned cells is no sharp clamp: curvature there is taken over half a ce
 a sharp one is needed, a strip twice as long is held along its middle, which its own symmetry keeps level.
 """
 
+import itertools
+
 import numpy as np
 import pytest
 from cloth_shapes import free_cloth, sheet
@@ -95,18 +97,20 @@ def test_a_clamped_strip_hangs_like_the_heavy_elastica(device, ratio):
         assert np.linalg.norm(end[[0, 2]] - expected) < 0.01 * length
 
 
-def test_a_clamped_strip_comes_closer_to_the_elastica_on_a_finer_mesh(device):
-    length, density, ratio = 0.2, 0.15, 1.0
+@pytest.mark.parametrize(("ratio", "meshes"), [(1.0, (20, 40)), (50.0, (20, 40, 80))])
+def test_a_clamped_strip_comes_closer_to_the_elastica_on_a_finer_mesh(device, ratio, meshes):
+    length, density = 0.2, 0.15
     stiffness = density * G * length**3 / ratio
     fabric = Fabric(stretch=2000.0, poisson=0.0, bending=stiffness, density=density)
     off = []
-    for columns in (20, 40):
+    for columns in meshes:
         simulation, rest = two_sided_strip(columns, 2, length, 0.02, fabric, device)
         assert simulation.settle(0.001, 150).converged
         end = simulation.positions[0][rest[:, 0] > length - 1e-9].mean(0)
         off.append(np.linalg.norm(end[[0, 2]] - heavy_elastica(length, stiffness, density)) / length)
-    # Second order in theory; at least halved. On a finer mesh float32 stiffness leaves more than the mesh does.
-    assert off[1] < 0.5 * off[0]
+    # Second order in theory; at least halved. The stiff strip does not come to rest on a finer mesh: its stiffest
+    # motion against the softest is 10^7 to 1, more than stiffness in float32 bears.
+    assert all(fine < 0.5 * coarse for coarse, fine in itertools.pairwise(off))
 
 
 # --- sagging ------------------------------------------------------------------------------------------------------

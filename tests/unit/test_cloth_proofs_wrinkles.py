@@ -188,10 +188,89 @@ def test_a_finer_mesh_comes_closer_to_the_pressure_that_a_taut_sheet_bears(devic
     assert off[0] > 2.0 * off[1] > 2.0 * off[2]
 
 
+# --- a stretched sheet --------------------------------------------------------------------------------------------
+
+
+class StretchedSheet:
+    """A sheet that is pulled by its clamped short ends, which keep their width: the middle is pressed together.
+
+    The experiment of Cerda, Ravi-Chandar and Mahadevan, Wrinkling of an elastic sheet under tension (Nature 419, 2002).
+    All measures are taken on the sheet at rest.
+    """
+
+    LENGTH, WIDTH, ALONG, ACROSS = 0.2, 0.1, 40, 60
+
+    def __init__(self, strain, device):
+        stretch, self.bending = 100.0, 1.0e-7
+        self.tension = stretch * (strain + 0.5 * strain**2)
+        rest, faces = sheet(self.ALONG, self.ACROSS, self.LENGTH, self.WIDTH)
+        self.rest = rest - np.array([0.5 * self.LENGTH, 0.5 * self.WIDTH, 0.0])
+        self.ends = np.abs(self.rest[:, 0]) > 0.5 * self.LENGTH - 1e-9
+        fabric = Fabric(stretch=stretch, poisson=0.45, bending=self.bending, stiffening=0.0)
+        self.simulation = free_cloth(
+            build_cloth_model(self.rest, faces, fabric),
+            pin_stiffness=np.where(self.ends, 1.0e6, 0.0),
+            solver_settings=SETTINGS,
+            device=device,
+        )
+        self.simulation.set_gravity(np.zeros(3))
+        held = self.rest * [1.0 + strain, 1.0, 1.0]
+        self.simulation.place_pins(held)
+        self.simulation.start(held)
+        assert self.simulation.settle(0.02, 100).converged
+
+    def first_mode(self):
+        """The greatest bending stiffness at which it wrinkles [N m], and its heights, shape [ALONG + 1, ACROSS + 1]."""
+        from scipy.sparse import linalg
+
+        out = 3 * np.flatnonzero(~self.ends) + 2
+        stretched, resting = (
+            self.simulation.hessian(x)[out][:, out].tocsc() for x in (self.simulation.positions[0], self.rest)
+        )
+        values, modes = linalg.eigsh(
+            resting - stretched,
+            k=1,
+            M=resting,
+            which="LA",
+            v0=1.0 + np.arange(len(out)) % 7,
+            ncv=60,
+            tol=1e-4,  # pyright: ignore[reportArgumentType]
+        )
+        height = np.zeros(len(self.rest))
+        height[~self.ends] = modes[:, 0]
+        return values[0] * self.bending, height.reshape(self.ALONG + 1, self.ACROSS + 1)
+
+    def wavelength(self, height):
+        """Of the two waves next to the centre [m]."""
+        across, y = height[self.ALONG // 2], np.linspace(-0.5, 0.5, self.ACROSS + 1) * self.WIDTH
+        cross = np.flatnonzero(across[:-1] * across[1:] < 0.0)
+        zeros = y[cross] + across[cross] / (across[cross] - across[cross + 1]) * (y[1] - y[0])
+        first = np.searchsorted(zeros, 0.0) - 2
+        return 0.5 * (zeros[first + 4] - zeros[first])
+
+    def crest_length(self, height):
+        """Length of the half sine that is as steep for its height as the highest wrinkle [m]."""
+        crest = height[:, np.abs(height[self.ALONG // 2]).argmax()]
+        steepness = np.sqrt((np.diff(crest) ** 2).sum() / (crest**2).sum()) * self.ALONG / self.LENGTH
+        return np.pi / steepness
+
+
+@pytest.mark.parametrize("strain", [0.02, pytest.param(0.05, marks=pytest.mark.long)])
+def test_a_stretched_sheet_wrinkles_by_the_length_of_its_wrinkles(device, strain):
+    """Wrinkles are as long as what is pressed together, not as the sheet: the law holds for that length."""
+    stretched = StretchedSheet(strain, device)
+    bending, height = stretched.first_mode()
+    wave, crest = stretched.wavelength(height), stretched.crest_length(height)
+    scale = 2.0 * np.sqrt(np.pi) * (bending / stretched.tension) ** 0.25
+    # A crest is no pure sine.
+    assert wave == pytest.approx(scale * np.sqrt(crest), rel=0.03)
+    assert wave < 0.8 * scale * np.sqrt(stretched.LENGTH)
+
+
 # --- a sheared sheet ----------------------------------------------------------------------------------------------
 
 
-def sheared_wavelength(bending, shear, device, cells=20, across=False):
+def sheared_wavelength(bending, shear, device, cells=20, across=False, height=0.1):
     """Across the folds of a wide sheet between two bars that shear it, and what the law says, both in metres.
 
     Folds run at 45 degrees from bar to bar, with the tension of a sheet that bears no pressure: Y shear / 2 along
@@ -199,8 +278,9 @@ def sheared_wavelength(bending, shear, device, cells=20, across=False):
 
     Args:
         across: Turn the cells' diagonals across the folds instead of along them.
+        height: From bar to bar [m].
     """
-    height, width, stretch = 0.1, 0.6, 1000.0
+    width, stretch = 6.0 * height, 1000.0
     rest, faces = sheet(6 * cells, cells, width, height)
     if across:
         rest[:, 1], faces = height - rest[:, 1], faces[:, [0, 2, 1]]
@@ -229,6 +309,20 @@ def test_a_sheared_sheet_wrinkles_by_bending_over_tension(device):
     wave, expected = sheared_wavelength(2.0e-5, 0.02, device)
     # The law takes the tension as even and the folds as sines; bars that hold the cloth flat make them shorter.
     assert wave == pytest.approx(expected, rel=0.15)
+
+
+@pytest.mark.long
+def test_a_sheared_sheet_wrinkles_by_the_roots_of_bending_and_height(device):
+    """Over a range of ten in the bending stiffness, and of four in the height."""
+    soft, stiff, high = waves = [
+        sheared_wavelength(bending, 0.02, device, cells, height=height)
+        for bending, height, cells in ((2.0e-6, 0.1, 24), (2.0e-5, 0.1, 20), (8.0e-5, 0.4, 24))
+    ]
+    for wave, expected in waves:
+        assert wave == pytest.approx(expected, rel=0.15)
+    # Whole folds between the ends: a dozen of them.
+    assert np.log(stiff[0] / soft[0]) / np.log(10.0) == pytest.approx(0.25, abs=0.03)
+    assert np.log(high[0] / stiff[0]) / np.log(4.0) - 0.25 == pytest.approx(0.5, abs=0.05)
 
 
 @pytest.mark.long

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from bake_outcomes import outcome_of
-from random_bakes import random_bake
+from random_bakes import GARMENTS, RANGES, random_bake
 
 
 def seeds(*values: int) -> pytest.MarkDecorator:
@@ -25,3 +25,18 @@ def test_a_random_bake_ends_in_true_numbers_or_in_one_sentence(seed: int, tmp_pa
 @seeds(*range(4, 104))
 def test_a_hundred_random_bakes_end_in_true_numbers_or_in_one_sentence(seed: int, tmp_path: Path):
     outcome_of(random_bake(seed), seed, tmp_path)
+
+
+@pytest.mark.long
+def test_nearly_all_random_bakes_are_of_garments_that_are_not_refused_unworn():
+    """Else they would say little; every kind of garment and every joint is among them."""
+    worn = []
+    for seed in range(4, 104):
+        drawn = random_bake(seed)
+        try:
+            drawn.job()
+        except ValueError:
+            continue
+        worn.append((drawn.kind, drawn.plan.grids[0].joint.name))
+    assert len(worn) >= 90
+    assert {kind for kind, _ in worn} == set(GARMENTS) and {joint for _, joint in worn} == set(RANGES)
