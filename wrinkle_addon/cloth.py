@@ -369,7 +369,7 @@ class ClothSimulation:
             raise find_divergence(self.positions, self._gradient.numpy())
 
     def _linearise(self, *, precondition: bool = True) -> None:
-        """The linear system and, if asked for, a new preconditioner for it that no compressive stress makes indefinite."""
+        """The linear system and, if asked for, a preconditioner for it that no compressive stress makes indefinite."""
         if precondition:
             self._assemble(self._nothing_kept)
             self._system.precondition(self._positions)
