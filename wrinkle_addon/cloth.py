@@ -145,6 +145,7 @@ class ClothSimulation:
         :meth:`move_body`, or the garment sags until friction has built up again.
         """
         self._contact.forget()
+        self._contact.turn(self._positions)
         self._contact.find(self._positions, self._moving)
         self._set_inertia(self.positions, np.zeros(self.world_count))
         # Fresh anchors pull at nothing yet, so this gradient is without friction.
@@ -190,6 +191,7 @@ class ClothSimulation:
         self.move_body(body_positions)
         with self._elasticity.damped(self._positions, dt):
             self._positions.assign(inertia.target if guess is None else self._per_world(guess, "guess"))
+            self._contact.turn(self._positions)
             self._minimise(inertia.target, inertia.span)
         self._velocities.assign(inertia.velocities(self._positions.numpy()))
         if self.solver_settings.order == 2:
@@ -207,6 +209,7 @@ class ClothSimulation:
         """
         self.move_body(body_positions)
         self._positions.assign(self._per_world(carried, "carried"))
+        self._contact.turn(self._positions)
         self._minimise(self.positions, dt)
         self.untangle()
         self._rest()
@@ -249,7 +252,7 @@ class ClothSimulation:
         taken = np.ones(self.world_count)
         iteration = linear_total = 0
         self._rest()
-        self._contact.look_everywhere()
+        self._contact.turn(self._positions)
         for iteration in range(max_iterations + 1):
             self._contact.find(self._positions, self._moving, self._moving)
             self._set_inertia(self.positions, np.zeros(self.world_count))
