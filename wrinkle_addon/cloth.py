@@ -36,7 +36,6 @@ STANDARD_GRAVITY = 9.80665
 # A vertex that ends a step deeper in the body than this [m] is put on its skin.
 EXPELLED_DEPTH = 0.001
 
-
 # On its way to equilibrium a garment soon changes little: after so many linearisations ...
 YOUNG_ITERATIONS = 8
 # ... a preconditioner serves for so many.
@@ -191,7 +190,6 @@ class ClothSimulation:
         self.move_body(body_positions)
         with self._elasticity.damped(self._positions, dt):
             self._positions.assign(inertia.target if guess is None else self._per_world(guess, "guess"))
-            self._contact.turn(self._positions)
             self._minimise(inertia.target, inertia.span)
         self._velocities.assign(inertia.velocities(self._positions.numpy()))
         if self.solver_settings.order == 2:
@@ -209,7 +207,6 @@ class ClothSimulation:
         """
         self.move_body(body_positions)
         self._positions.assign(self._per_world(carried, "carried"))
-        self._contact.turn(self._positions)
         self._minimise(self.positions, dt)
         self.untangle()
         self._rest()
@@ -322,6 +319,7 @@ class ClothSimulation:
 
     def _minimise(self, target: FloatArray, dt: float) -> None:
         """Newton's method on the incremental potential of one step."""
+        self._contact.turn(self._positions)
         self._set_inertia(target, np.full(self.world_count, 1.0 / dt**2))
         for _ in range(self.solver_settings.newton_iterations):
             self._contact.find(self._positions, self._none, self._moving)
