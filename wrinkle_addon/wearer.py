@@ -23,7 +23,7 @@ UNTANGLINGS = 1
 REST_EFFORT = 4
 """How many times as many linearisations the rest pose may take: what it lacks shows in every sample."""
 
-SLIDE = 0.08
+SLIDE = 0.14
 """How far cloth may slide from the limb that it lies on in the rest pose onto another one [m]."""
 
 
