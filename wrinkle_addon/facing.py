@@ -18,7 +18,7 @@ from .topology import group, mesh_edges
 AROUND = 0.04
 """Distance over which the garment's normals are averaged [m], wider than its folds."""
 
-TURNED_COSINE = 0.7
+TURNED_COSINE = 0.5
 """Below this cosine between the two, the garment's own normal counts and the skin's outward direction no more."""
 
 MOST_ROUNDS = 80

@@ -21,7 +21,7 @@ def facing_of(positions, faces, outward, device):
     return facing.directions.numpy()[0]
 
 
-@pytest.mark.parametrize("degrees", [0.0, 40.0, 50.0, 120.0, 180.0])
+@pytest.mark.parametrize("degrees", [0.0, 55.0, 65.0, 120.0, 180.0])
 def test_the_skin_counts_as_long_as_the_garment_faces_with_it(device, degrees):
     positions, faces = sheet(10, 10, 0.1, 0.1)
     outward = np.array([np.sin(np.radians(degrees)), 0.0, np.cos(np.radians(degrees))])
