@@ -36,7 +36,6 @@ STANDARD_GRAVITY = 9.80665
 # A vertex that ends a step deeper in the body than this [m] is put on its skin.
 EXPELLED_DEPTH = 0.001
 
-
 # On its way to equilibrium a garment soon changes little: after so many linearisations ...
 YOUNG_ITERATIONS = 8
 # ... a preconditioner serves for so many.
@@ -145,6 +144,7 @@ class ClothSimulation:
         :meth:`move_body`, or the garment sags until friction has built up again.
         """
         self._contact.forget()
+        self._contact.turn(self._positions)
         self._contact.find(self._positions, self._moving)
         self._set_inertia(self.positions, np.zeros(self.world_count))
         # Fresh anchors pull at nothing yet, so this gradient is without friction.
@@ -249,7 +249,7 @@ class ClothSimulation:
         taken = np.ones(self.world_count)
         iteration = linear_total = 0
         self._rest()
-        self._contact.look_everywhere()
+        self._contact.turn(self._positions)
         for iteration in range(max_iterations + 1):
             self._contact.find(self._positions, self._moving, self._moving)
             self._set_inertia(self.positions, np.zeros(self.world_count))
@@ -319,6 +319,7 @@ class ClothSimulation:
 
     def _minimise(self, target: FloatArray, dt: float) -> None:
         """Newton's method on the incremental potential of one step."""
+        self._contact.turn(self._positions)
         self._set_inertia(target, np.full(self.world_count, 1.0 / dt**2))
         for _ in range(self.solver_settings.newton_iterations):
             self._contact.find(self._positions, self._none, self._moving)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..kernels.cloth import assembly, body_surface, contact, contact_planes, self_contact
 from .cloth_model import ClothModel, FloatArray, IntArray
 from .fabrics import Fabric
+from .facing import Facing
 from .topology import group, mesh_edges, triangles_beside
 from .verlet_lists import VerletLists
 
@@ -170,6 +171,7 @@ class ContactSearch:
         self._body.limb = wp.array(limbs.of_triangles, dtype=wp.int32, device=self._device)
         self._limbs = wp.array(limbs.of_vertices, dtype=wp.int32, device=self._device)
         self._make_planes()
+        self._facing = Facing(model, faces, len(body_positions))
         self._make_pairs(model)
         self.forget()
         self.move_body(body_positions)
@@ -202,6 +204,12 @@ class ContactSearch:
         """Outward unit vectors of the garment's vertices, shape [world_count, vertex_count, 3]."""
         self.look_everywhere()
         self._outward.assign(directions.astype(np.float32))
+        self._facing.set_outward(self._outward)
+
+    def turn(self, positions: wp.array) -> None:
+        """Face the body as the garment lies at these positions (float64 [m]); itself it meets as its skins do."""
+        self.look_everywhere()
+        self._facing.turn(positions)
 
     def look_everywhere(self) -> None:
         """Let the next search look around every vertex, also where it last found free space."""
@@ -267,7 +275,7 @@ class ContactSearch:
 
     def _find_planes(self, positions: wp.array, remembering: wp.array | None = None) -> None:
         remembering = self._none if remembering is None else remembering
-        inputs = [positions, self._outward, self._limbs, self._body, self._body_reach, remembering]
+        inputs = [positions, self._facing.directions, self._limbs, self._body, self._body_reach, remembering]
         found = [self._held_face, self._held_weights, self._free, self._planes]
         self._launch(contact_planes.find_contact_planes, self._shape, inputs, found)
 

@@ -20,10 +20,10 @@ from .surface import BodyVolume, SurfaceMeasures
 UNTANGLINGS = 1
 """How often a garment that settles with its layers through each other is drawn apart."""
 
-REST_EFFORT = 4
+REST_EFFORT = 3
 """How many times as many linearisations the rest pose may take: what it lacks shows in every sample."""
 
-SLIDE = 0.08
+SLIDE = 0.14
 """How far cloth may slide from the limb that it lies on in the rest pose onto another one [m]."""
 
 
@@ -40,7 +40,7 @@ class BakeSettings:
         rest_tolerance: Residual at which the rest pose is in equilibrium, in nodal weights; what it lacks would show
             in every sample, far from the joint that moves.
         settle_tolerance: Residual at which a sample is in equilibrium.
-        settle_iterations: Bound on the linearisations of one equilibrium; the rest pose may take four times as many.
+        settle_iterations: Bound on the linearisations of one equilibrium; the rest pose may take three times as many.
         trapped: Share of the vertices that need not come to rest, caught where the body cuts into itself.
         pin_stiffness: How hard a fully pinned vertex is held to the skin [N/m].
     """
@@ -52,7 +52,7 @@ class BakeSettings:
     turn_step: float = float(np.radians(3.0))
     rest_tolerance: float = 0.05
     settle_tolerance: float = 0.3
-    settle_iterations: int = 80
+    settle_iterations: int = 120
     trapped: float = 0.005
     pin_stiffness: float = 20.0
 
