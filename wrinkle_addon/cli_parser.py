@@ -108,6 +108,9 @@ def _add_bake_verbs(add: AddVerb) -> None:
     bake.add_argument("--shard", metavar="I/N", help="only the I-th of N parts, I from 0 to N-1")
     bake.add_argument("--workers", type=int, default=1, help="processes that share the bake on this machine")
     bake.add_argument("--progress", choices=("text", "json"), default="text")
+    bake.add_argument(
+        "--attended", action="store_true", help="pause and go on as standard input says, and end when it closes"
+    )
 
 
 def _add_clip_verbs(add: AddVerb) -> None:
