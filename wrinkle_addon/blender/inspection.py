@@ -160,7 +160,7 @@ def show_place(context: bpy.types.Context, garment: bpy.types.Object, place: Pla
     elif place.names:
         _select_bones(ob, place.names)
     elif place.vertices:
-        _select_vertices(context, ob, place.vertices)
+        _select_vertices(ob, place.vertices)
 
 
 def _bones_of(settings: Any, joint: str) -> Sequence[str]:
@@ -176,12 +176,15 @@ def _select_bones(armature: bpy.types.Object, names: Sequence[str]) -> None:
         holder.select = bone.name in names
 
 
-def _select_vertices(context: bpy.types.Context, ob: bpy.types.Object, vertices: Sequence[int]) -> None:
+def _select_vertices(ob: bpy.types.Object, vertices: Sequence[int]) -> None:
     mesh = ob.data
+    # Under another selecting mode, edit mode would drop vertices whose edges or faces are not selected.
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_mode(type="VERT")
+    bpy.ops.object.mode_set(mode="OBJECT")
     chosen = np.zeros(len(mesh.vertices), bool)
     chosen[[vertex for vertex in vertices if vertex < len(chosen)]] = True
     for elements in (mesh.edges, mesh.polygons):
         elements.foreach_set("select", np.zeros(len(elements), bool))
     mesh.vertices.foreach_set("select", chosen)
-    context.tool_settings.mesh_select_mode = (True, False, False)
     bpy.ops.object.mode_set(mode="EDIT")

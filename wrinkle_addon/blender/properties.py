@@ -147,8 +147,12 @@ class JointSettings(bpy.types.PropertyGroup):
 class GarmentSettings(bpy.types.PropertyGroup):
     """Settings of one garment object; ``armature`` is set on garments that take part."""
 
-    armature: bpy.props.PointerProperty(type=bpy.types.Object, name="Armature", override=_OVERRIDABLE)
-    body: bpy.props.PointerProperty(type=bpy.types.Object, name="Body", override=_OVERRIDABLE)
+    armature: bpy.props.PointerProperty(
+        type=bpy.types.Object, name="Armature", override=_OVERRIDABLE, description="The rig that moves body and garment"
+    )
+    body: bpy.props.PointerProperty(
+        type=bpy.types.Object, name="Body", override=_OVERRIDABLE, description="The mesh that the garment is worn on"
+    )
     original: bpy.props.PointerProperty(
         type=bpy.types.Object, name="Original", description="The garment that this finer copy was made from"
     )
@@ -191,6 +195,7 @@ class GarmentSettings(bpy.types.PropertyGroup):
     )
     formulation: bpy.props.EnumProperty(
         name="Formulation",
+        description="How the samples of several joints meet in one pose",
         items=[
             (Formulation.OFFSETS.name, "Offsets", "Offsets over skinning, added up over the joints"),
             (Formulation.PAPER.name, "Paper", "Positions along arcs, averaged by distance (Wang et al. 2010)"),
@@ -295,6 +300,7 @@ class GarmentSettings(bpy.types.PropertyGroup):
     )
     weights: bpy.props.EnumProperty(
         name="Blend Weights",
+        description="How far over the garment each joint reaches",
         items=[
             (BlendWeights.DISTANCE.name, "By Distance", "Each joint reaches as far as its regions are near"),
             (BlendWeights.MEASURED.name, "Measured", "Each joint reaches as far as its samples change the cloth"),
@@ -343,8 +349,10 @@ class GarmentSettings(bpy.types.PropertyGroup):
         options={"HIDDEN"}, description="Factors of the angles of mirrored joints, if the character is symmetric; JSON"
     )
     notes: bpy.props.StringProperty(description="Sentences on joints that were not found, one a line")
-    active_joint: bpy.props.IntProperty()
-    plan: bpy.props.EnumProperty(name="Plan", items=PLANS, default="PAPER")
+    active_joint: bpy.props.IntProperty(name="Joint", description="The joint that is chosen in the list")
+    plan: bpy.props.EnumProperty(
+        name="Plan", items=PLANS, default="PAPER", description="Which angles of the joints are sampled"
+    )
     budget: bpy.props.IntProperty(
         name="Samples", default=36, min=1, description="Most samples to simulate; mirror images come for free"
     )

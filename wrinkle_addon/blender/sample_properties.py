@@ -36,7 +36,7 @@ class SampleMesh(bpy.types.PropertyGroup):
     """On an object that a sample was opened as: ``garment`` is set there and nowhere else."""
 
     garment: bpy.props.PointerProperty(type=bpy.types.Object, name="Garment")
-    joint: bpy.props.StringProperty(name="Joint")
+    joint: bpy.props.StringProperty(name="Joint", description="The joint that the sample turns")
     index: bpy.props.IntVectorProperty(size=3, description="Node of the joint's grid; a hinge has the first alone")
     key: bpy.props.StringProperty(description="Of the bake that the sample comes from")
 
