@@ -78,9 +78,6 @@ def draw(panel: type[bpy.types.Panel]) -> FakeLayout:
     layout = FakeLayout()
     context = SidebarContext()
     drawn = SimpleNamespace(layout=layout)
-    for name in ("_draw_guess",):
-        if hasattr(panel, name):
-            setattr(drawn, name, lambda *arguments, part=getattr(panel, name): part(drawn, *arguments))
     for part in ("draw_header", "draw_header_preset", "draw"):
         if hasattr(panel, part):
             getattr(panel, part)(drawn, context)

@@ -100,6 +100,9 @@ def _weights(ob: bpy.types.Object, name: str) -> dict[int, float]:
 
 def _put_back_armatures(garment: bpy.types.Object, before: bpy.types.Object) -> None:
     """Armature modifiers as they were before, where they were."""
+    active = garment.modifiers.active
+    shown = before.modifiers.active if active is None or active.type == "ARMATURE" else active
+    name = None if shown is None else shown.name
     for modifier in [each for each in garment.modifiers if each.type == "ARMATURE"]:
         garment.modifiers.remove(modifier)
     for place, old in enumerate(before.modifiers):
@@ -110,6 +113,8 @@ def _put_back_armatures(garment: bpy.types.Object, before: bpy.types.Object) -> 
             if not prop.is_readonly and prop.identifier != "name":
                 setattr(new, prop.identifier, getattr(old, prop.identifier))
         garment.modifiers.move(len(garment.modifiers) - 1, min(place, len(garment.modifiers) - 1))
+    if name in garment.modifiers:
+        garment.modifiers.active = garment.modifiers[name]
 
 
 def _remove_object(ob: bpy.types.Object) -> None:

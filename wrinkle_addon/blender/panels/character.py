@@ -18,7 +18,7 @@ class WRINKLE_PT_character(WrinklePanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, garment = self.layout, active_garment(context)
         if garment is None:
-            self._draw_guess(context)
+            _draw_guess(context, layout)
             return
         settings = garment.wrinkles
         column = layout.column(align=True)
@@ -39,15 +39,16 @@ class WRINKLE_PT_character(WrinklePanel, bpy.types.Panel):
             )
             layout.operator("wrinkle.make_local_mesh", icon="LIBRARY_DATA_OVERRIDE")
 
-    def _draw_guess(self, context: bpy.types.Context) -> None:
-        layout, guess = self.layout, guess_character(context)
-        column = layout.column(align=True)
-        _role(column, "Garment", guess.garment, "MATCLOTH")
-        _role(column, "Body", guess.body, "MESH_DATA")
-        _role(column, "Armature", guess.armature, "ARMATURE_DATA")
-        if guess.missing:
-            say(context, layout, guess.missing, icon="INFO")
-        layout.operator("wrinkle.setup_garment", icon="MATCLOTH")
+
+def _draw_guess(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
+    guess = guess_character(context)
+    column = layout.column(align=True)
+    _role(column, "Garment", guess.garment, "MATCLOTH")
+    _role(column, "Body", guess.body, "MESH_DATA")
+    _role(column, "Armature", guess.armature, "ARMATURE_DATA")
+    if guess.missing:
+        say(context, layout, guess.missing, icon="INFO")
+    layout.operator("wrinkle.setup_garment", icon="MATCLOTH")
 
 
 def _role(layout: bpy.types.UILayout, role: str, ob: bpy.types.Object | None, icon: str) -> None:
