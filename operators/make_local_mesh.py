@@ -38,12 +38,22 @@ class WRINKLE_OT_make_local_mesh(bpy.types.Operator):
             if whole.override_hierarchy_create(context.scene, context.view_layer) is None:
                 self.report({"ERROR"}, f"No library override of '{name}' could be made.")
                 return {"CANCELLED"}
+            _replace(context.scene, whole)
             garment = next(ob for ob in bpy.data.objects if ob.name == name and ob.library is None)
             context.view_layer.objects.active = garment
         make_writable(garment)
         playback.forget(garment)
         garment.update_tag()
         return {"FINISHED"}
+
+
+def _replace(scene: bpy.types.Scene, linked: bpy.types.Collection | bpy.types.Object) -> None:
+    """Take what the override stands for out of the scene."""
+    for parent in (scene.collection, *scene.collection.children_recursive):
+        if parent.library is None:
+            within = parent.children if isinstance(linked, bpy.types.Collection) else parent.objects
+            if linked in within.values():
+                within.unlink(linked)
 
 
 classes = (WRINKLE_OT_make_local_mesh,)

@@ -11,7 +11,7 @@ import numpy as np
 PASSING = {
     # Of this session or of the moment, not of the file.
     "session_uid", "bl_rna", "rna_type", "tag", "is_evaluated", "users", "original", "bound_box", "persistent_uid",
-    "is_runtime_data", "execution_time", "preview", "is_updated", "depsgraph", "is_missing",
+    "is_runtime_data", "particle_edit", "execution_time", "preview", "is_updated", "depsgraph", "is_missing",
     # Computed from the rest.
     "dimensions", "loop_triangles", "loop_triangle_polygons", "vertex_normals", "polygon_normals", "corner_normals",
     "normals_domain", "is_valid", "total_vert_sel", "total_edge_sel", "total_face_sel", "edge_keys",
