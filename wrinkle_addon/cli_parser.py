@@ -145,6 +145,7 @@ def _add_clip_verbs(add: AddVerb) -> None:
     evaluate.add_argument("--reference", default="settle", help="settle, simulate, or a CACHE.pc2 of the garment")
     evaluate.add_argument("--losses", action="store_true", help="with settle: tell which part of the method loses what")
     evaluate.add_argument("--plots", type=Path, help="folder for plots")
+    evaluate.add_argument("--keep", action="store_true", help="leave the result beside the database, for the panel")
     _add_weights(evaluate)
 
     influence = add("influence", "how much each joint changes the wrinkles", _file(), _garment(), _device())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -38,6 +38,15 @@ class Chart:
     values: FloatArray
     marked: NDArray[np.bool_]
     groups: Sequence[tuple[int, str]] = field(default_factory=tuple)
+
+
+def show_charts(context: bpy.types.Context, garment: str, charts: Mapping[str, Chart]) -> list[str]:
+    """Draw charts of a garment, the first into every open Image Editor; returns the images' names."""
+    images = [show_chart(f"{garment} {name}", chart) for name, chart in charts.items()]
+    for area in context.screen.areas if context.screen is not None else ():
+        if area.type == "IMAGE_EDITOR":
+            area.spaces.active.image = images[0]
+    return [image.name for image in images]
 
 
 def show_chart(name: str, chart: Chart) -> bpy.types.Image:

@@ -19,6 +19,8 @@ def remember_garment(garment: bpy.types.Object) -> bpy.types.Object:
         before = garment.copy()
         before.data = garment.data.copy()
         before.name = f"{garment.name}.before"
+        # A garment that settings were copied to is set up for the first time all the same.
+        before.property_unset("wrinkles")
     return before
 
 

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
 import bpy
 
+from ...evaluation_record import evaluation_path, read_evaluation
 from .. import playback
 from .layout import GarmentPanel, garment_of, say, say_numbers, translated
 
@@ -31,6 +37,39 @@ class WRINKLE_PT_report(GarmentPanel, bpy.types.Panel):
         if len(restless) > 12:
             layout.label(text=translated("and {count} more").format(count=len(restless) - 12))
         layout.operator("wrinkle.plot_samples", icon="IMAGE_DATA")
+        _draw_fidelity(context, layout, player)
+
+
+def _draw_fidelity(context: bpy.types.Context, layout: bpy.types.UILayout, player: playback.Player) -> None:
+    database = player.database
+    try:
+        result = _evaluation(database.folder, database.header.key)
+    except ValueError as error:
+        say(context, layout, str(error), icon="ERROR")
+        return
+    if result is None:
+        say(context, layout, "Not evaluated yet: wrinkle evaluate FILE --keep on the command line.", icon="INFO")
+        return
+    names = {"ours": "With Wrinkles", "skinning": "Skinning Alone"}
+    numbers = {text: f"{result['rmse_mm'][name]:.2f} mm RMS" for name, text in names.items()}
+    numbers["Frames"] = str(len(result["frames"]))
+    say_numbers(layout, numbers)
+    layout.operator("wrinkle.plot_evaluation", icon="IMAGE_DATA")
+
+
+def _evaluation(folder: Path, key: str) -> Mapping[str, Any] | None:
+    """Read anew only when it was made anew, as this is drawn over and over."""
+    path = evaluation_path(folder, key)
+    try:
+        written = path.stat().st_mtime_ns
+    except OSError:
+        return None
+    return _read(folder, key, written)
+
+
+@lru_cache(maxsize=8)
+def _read(folder: Path, key: str, written: int) -> Mapping[str, Any] | None:
+    return read_evaluation(folder, key)
 
 
 classes = (WRINKLE_PT_report,)
