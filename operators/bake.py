@@ -9,6 +9,7 @@ import bpy
 from ..wrinkle_addon.blender import playback
 from ..wrinkle_addon.blender.bake_process import BakeProcess, running
 from ..wrinkle_addon.blender.properties import active_garment
+from .polls import has_garment, is_idle
 
 TICK = 0.25
 """Time between two looks at the process [s]."""
@@ -23,7 +24,7 @@ class WRINKLE_OT_bake(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return active_garment(context) is not None and not running
+        return has_garment(cls, context) and is_idle(cls)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """To the end, with a line for every sample."""
@@ -70,7 +71,7 @@ class WRINKLE_OT_bake(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         if goes_on:
-            context.workspace.status_text_set(f"Baking wrinkles: {self._process.progress.text}. Esc stops.")
+            context.workspace.status_text_set(_status(self._process))
             _redraw(context)
             return {"PASS_THROUGH"}
         self.cancel(context)
@@ -92,6 +93,14 @@ def _finish(garment: bpy.types.Object) -> set[str]:
     playback.forget(garment)
     garment.wrinkles.enabled = True
     return {"FINISHED"}
+
+
+def _status(process: BakeProcess) -> str:
+    """For the status bar."""
+    progress = process.progress
+    doing = "Paused" if process.paused else "Baking wrinkles"
+    last = f"; {progress.last_sample}" if progress.name else ""
+    return f"{doing}: {progress.text}{last}. Esc stops."
 
 
 def _redraw(context: bpy.types.Context) -> None:

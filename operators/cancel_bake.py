@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..wrinkle_addon.blender.bake_process import running
+from .polls import bakes
 
 
 class WRINKLE_OT_cancel_bake(bpy.types.Operator):
@@ -15,7 +16,7 @@ class WRINKLE_OT_cancel_bake(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return bool(running)
+        return bakes(cls)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         # The running operator notices at its next tick.

@@ -8,6 +8,7 @@ from ..wrinkle_addon.blender.coarse_setup import make_coarse
 from ..wrinkle_addon.blender.handlers import suspended
 from ..wrinkle_addon.blender.properties import active_garment
 from ..wrinkle_addon.coarse_mesh import LEAST_COUNT, VERTEX_COUNT
+from .polls import has_garment
 
 
 class WRINKLE_OT_make_coarse_mesh(bpy.types.Operator):
@@ -21,7 +22,7 @@ class WRINKLE_OT_make_coarse_mesh(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return active_garment(context) is not None
+        return has_garment(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         garment = active_garment(context)

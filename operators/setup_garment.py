@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import bpy
 
+from ..wrinkle_addon.blender.guess import guess_character
 from ..wrinkle_addon.blender.handlers import suspended
-from ..wrinkle_addon.blender.setup import SetupResult, find_armature
+from ..wrinkle_addon.blender.setup import SetupResult
 from ..wrinkle_addon.blender.setup import setup_garment as set_up
 
 
@@ -24,15 +25,10 @@ class WRINKLE_OT_setup_garment(bpy.types.Operator):
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Offer what is selected: the active mesh as the garment, the other one as its body."""
-        active = context.object
-        if active is not None and active.type == "MESH":
-            self.garment = active.name
-            others = [ob for ob in context.selected_objects if ob.type == "MESH" and ob != active]
-            body = active.wrinkles.body or (others[0] if others else None)
-            if body is not None:
-                armature = find_armature(active, body)
-                self.body, self.armature = body.name, armature.name if armature else ""
+        """Offer who wears what, as far as the selection tells."""
+        guess = guess_character(context)
+        for name, ob in (("garment", guess.garment), ("body", guess.body), ("armature", guess.armature)):
+            setattr(self, name, ob.name if ob is not None else "")
         return context.window_manager.invoke_props_dialog(self, width=360)
 
     def draw(self, context: bpy.types.Context) -> None:

@@ -13,6 +13,7 @@ from ..wrinkle_addon.blender.properties import active_garment
 from ..wrinkle_addon.blender.write import make_writable
 from ..wrinkle_addon.database import WrinkleDatabase
 from ..wrinkle_addon.influence import joint_names, measure_influence
+from .polls import has_database
 
 
 class WRINKLE_OT_show_influence(bpy.types.Operator):
@@ -24,8 +25,7 @@ class WRINKLE_OT_show_influence(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        garment = active_garment(context)
-        return garment is not None and bool(garment.wrinkles.joints) and bool(garment.wrinkles.database)
+        return has_database(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         garment = active_garment(context)
@@ -36,6 +36,8 @@ class WRINKLE_OT_show_influence(bpy.types.Operator):
                 raise ValueError("Leave edit mode first: colours are written to the mesh.")
             database = WrinkleDatabase.open(Path(database_folder(garment)))
             check_database(garment, database.header)
+            if not settings.joints:
+                raise ValueError("The garment has no joints; set it up again.")
             shown = settings.joints[min(settings.active_joint, len(settings.joints) - 1)].name
             joint_names(database.header, [shown])
             make_writable(garment)

@@ -13,6 +13,7 @@ from ..wrinkle_addon.blender.preferences import device_name
 from ..wrinkle_addon.blender.properties import active_garment
 from ..wrinkle_addon.blender.simulate_coarse import CoarseBake, bake_coarse
 from ..wrinkle_addon.folder_verbs import choose_device
+from .polls import has_garment
 
 
 class WRINKLE_OT_simulate_coarse(bpy.types.Operator):
@@ -23,8 +24,14 @@ class WRINKLE_OT_simulate_coarse(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        if not has_garment(cls, context):
+            return False
         garment = active_garment(context)
-        return garment is not None and garment.wrinkles.coarse_layer == SIMULATION
+        assert garment is not None
+        if garment.wrinkles.coarse_layer != SIMULATION:
+            cls.poll_message_set("Let the garment follow a simulation first")
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """To the end."""

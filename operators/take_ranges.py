@@ -7,6 +7,7 @@ import bpy
 from ..wrinkle_addon.blender.garment_joints import take_ranges
 from ..wrinkle_addon.blender.handlers import suspended
 from ..wrinkle_addon.blender.properties import active_garment
+from .polls import has_garment
 
 
 class WRINKLE_OT_take_ranges(bpy.types.Operator):
@@ -22,7 +23,7 @@ class WRINKLE_OT_take_ranges(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return active_garment(context) is not None
+        return has_garment(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         garment = active_garment(context)

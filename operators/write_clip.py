@@ -13,6 +13,7 @@ from ..wrinkle_addon.blender.mesh_cache import play_cache
 from ..wrinkle_addon.blender.preferences import device_name
 from ..wrinkle_addon.blender.properties import active_garment
 from ..wrinkle_addon.folder_verbs import choose_device
+from .polls import has_database
 
 
 class WRINKLE_OT_write_clip(bpy.types.Operator):
@@ -26,6 +27,7 @@ class WRINKLE_OT_write_clip(bpy.types.Operator):
     filter_glob: bpy.props.StringProperty(default="*.pc2;*.abc;*.usd;*.usdc;*.usda", options={"HIDDEN"})
     frame_start: bpy.props.IntProperty(name="From", description="First frame")
     frame_end: bpy.props.IntProperty(name="To", description="Last frame")
+    suffix: bpy.props.StringProperty(default=CACHE, options={"HIDDEN"}, description="Of the file that is proposed")
     play: bpy.props.BoolProperty(
         name="Play the Cache",
         default=False,
@@ -34,8 +36,7 @@ class WRINKLE_OT_write_clip(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        garment = active_garment(context)
-        return garment is not None and bool(garment.wrinkles.database)
+        return has_database(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         garment = active_garment(context)
@@ -43,7 +44,7 @@ class WRINKLE_OT_write_clip(bpy.types.Operator):
         if not self.properties.is_property_set("frame_start"):
             self.frame_start, self.frame_end = context.scene.frame_start, context.scene.frame_end
         if not self.filepath:
-            self.filepath = bpy.path.abspath(f"//{bpy.path.clean_name(garment.name)}{CACHE}")
+            self.filepath = bpy.path.abspath(f"//{bpy.path.clean_name(garment.name)}{self.suffix}")
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 

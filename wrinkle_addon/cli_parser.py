@@ -108,6 +108,9 @@ def _add_bake_verbs(add: AddVerb) -> None:
     bake.add_argument("--shard", metavar="I/N", help="only the I-th of N parts, I from 0 to N-1")
     bake.add_argument("--workers", type=int, default=1, help="processes that share the bake on this machine")
     bake.add_argument("--progress", choices=("text", "json"), default="text")
+    bake.add_argument(
+        "--attended", action="store_true", help="pause and go on as standard input says, and end when it closes"
+    )
 
 
 def _add_clip_verbs(add: AddVerb) -> None:
@@ -142,6 +145,7 @@ def _add_clip_verbs(add: AddVerb) -> None:
     evaluate.add_argument("--reference", default="settle", help="settle, simulate, or a CACHE.pc2 of the garment")
     evaluate.add_argument("--losses", action="store_true", help="with settle: tell which part of the method loses what")
     evaluate.add_argument("--plots", type=Path, help="folder for plots")
+    evaluate.add_argument("--keep", action="store_true", help="leave the result beside the database, for the panel")
     _add_weights(evaluate)
 
     influence = add("influence", "how much each joint changes the wrinkles", _file(), _garment(), _device())

@@ -13,7 +13,7 @@ in the frame that the skin turned with it (no paper's form; smaller, and free of
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import rotations, storage
+from .corrections import BAKED, Corrections
+from .folder_lock import FolderLock
 from .garment import Garment, Regions, SkinWeights
 from .plan import JointGrid, Sample, SamplePlan
 from .rig import FloatArray, IntArray, Joint, Pose, Rig, pose_of_angles
@@ -191,6 +193,17 @@ def write_sample(
     report: Mapping[str, Any],
 ) -> None:
     """Store one sample given by the garment's positions in its pose [m], shape [vertex_count, 3]."""
+    _write_offsets(sample_path(folder, header.key, sample), header, rest, sample, positions, report)
+
+
+def _write_offsets(
+    path: Path,
+    header: DatabaseHeader,
+    rest: FloatArray,
+    sample: Sample,
+    positions: FloatArray,
+    report: Mapping[str, Any],
+) -> None:
     skinned, turns = sample_frame(header, rest, sample)
     offsets = rotations.rotate(rotations.conjugate(turns), positions - skinned)
     moved = np.flatnonzero(np.linalg.norm(offsets, axis=1) > LEAST_OFFSET)
@@ -209,7 +222,7 @@ def write_sample(
         "angles": header.plan.angles(sample).tolist(),
         "report": dict(report),
     }
-    storage.write_arrays(sample_path(folder, header.key, sample), arrays, metadata)
+    storage.write_arrays(path, arrays, metadata)
 
 
 def write_rest(folder: Path, header: DatabaseHeader, positions: FloatArray, report: Mapping[str, Any]) -> None:
@@ -241,11 +254,13 @@ class WrinkleDatabase:
         folder: Where it lies.
         header: The character.
         rest: The settled rest garment [m], shape [vertex_count, 3].
+        corrections: Samples that count as corrected by hand, not as baked.
     """
 
     folder: Path
     header: DatabaseHeader
     rest: FloatArray
+    corrections: Corrections
 
     @staticmethod
     def open(folder: Path | str, *, check_hashes: bool = False) -> WrinkleDatabase:
@@ -268,7 +283,7 @@ class WrinkleDatabase:
         rest = arrays.get("positions")
         if rest is None or rest.shape != header.garment.positions.shape:
             raise StorageError(f"The rest garment in '{folder}' has another number of vertices; bake again.")
-        return WrinkleDatabase(folder, header, rest.astype(np.float64))
+        return WrinkleDatabase(folder, header, rest.astype(np.float64), Corrections.read(folder, header.key))
 
     def sample(self, sample: Sample) -> SampleOffsets:
         """Read one sample.
@@ -276,7 +291,7 @@ class WrinkleDatabase:
         Raises:
             StorageError: If its file is missing, damaged, or from another garment.
         """
-        path = sample_path(self.folder, self.header.key, sample)
+        path = self.corrections.path(sample.name) or sample_path(self.folder, self.header.key, sample)
         arrays, metadata = storage.read_arrays(path)
         vertices, offsets = arrays.get("vertices"), arrays.get("offsets")
         count = self.header.garment.vertex_count
@@ -302,6 +317,32 @@ class WrinkleDatabase:
         offsets = np.zeros_like(skinned)
         offsets[stored.vertices] = stored.offsets
         return skinned + rotations.rotate(turns, offsets)
+
+    def corrected(self, sample: Sample, positions: FloatArray) -> WrinkleDatabase:
+        """Store one more version of a sample, which counts from now on; the baked one stays.
+
+        Args:
+            positions: The garment in the sample's pose [m], shape [vertex_count, 3].
+
+        Raises:
+            StorageError: If another process writes to the folder, or it cannot be written to.
+        """
+        with FolderLock(self.folder):
+            known = Corrections.read(self.folder, self.header.key)
+            path = known.next_path(sample.name)
+            report = {**self.sample(sample).report, "corrected": True}
+            _write_offsets(path, self.header, self.rest, sample, positions, report)
+            return replace(self, corrections=known.with_next(sample.name))
+
+    def restored(self, sample: Sample, version: int = BAKED) -> WrinkleDatabase:
+        """Let an earlier version of a sample count again, by default the baked one.
+
+        Raises:
+            ValueError: If there is no such version.
+        """
+        with FolderLock(self.folder):
+            known = Corrections.read(self.folder, self.header.key)
+            return replace(self, corrections=known.with_version(sample.name, version))
 
     @cached_property
     def stored_bytes(self) -> int:
@@ -369,4 +410,4 @@ def find_problems(folder: Path, manifest: Mapping[str, Any], *, check_hashes: bo
             problems.append(f"{name} is missing")
         elif check_hashes and storage.file_hash(path) != digest:
             problems.append(f"{name} is damaged")
-    return problems
+    return problems + Corrections.read(folder, str(manifest.get("key", ""))).problems(check_hashes=check_hashes)

@@ -76,6 +76,7 @@ def info(options: argparse.Namespace) -> Mapping[str, Any]:
             name: report["restless"] for name, report in named if "restless" in report and "mirrored" not in report
         },
         "inside": max((report.get("inside", 0) for report in reports), default=0),
+        "corrected": [name for name, report in named if "corrected" in report],
         "self_intersections": max((report.get("self_intersections", 0) for report in reports), default=0),
     }
     lines = [
@@ -84,6 +85,8 @@ def info(options: argparse.Namespace) -> Mapping[str, Any]:
         f"  {stored / 1e6:.3g} MB of samples, {raw / 1e6:.3g} MB as raw positions "
         f"({result['times_smaller_than_raw']} times smaller)",
     ]
+    if result["corrected"]:
+        lines.append(f"  corrected by hand: {', '.join(result['corrected'])}")
     if result["unconverged"]:
         lines.append(
             f"  {result['unconverged']} samples did not come to rest; "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..kernels.surface import closest_surface_points
 from .cloth_model import FloatArray, IntArray
+from .place import Part, Place, PlacedError
 from .rig import Joint, Rig
 from .topology import group
 
@@ -197,46 +198,59 @@ def check_surface(name: str, positions: FloatArray, faces: IntArray) -> None:
     """Refuse a garment mesh that cannot be simulated.
 
     Raises:
-        ValueError: One sentence that says what is wrong and what to do.
+        PlacedError: One sentence that says what is wrong and what to do.
     """
+    for problem in surface_problems(name, positions, faces):
+        raise problem
+
+
+def surface_problems(name: str, positions: FloatArray, faces: IntArray) -> Iterator[PlacedError]:
+    """Everything that keeps a garment mesh from being simulated, the worst first."""
     if not len(faces):
-        raise ValueError(f"The garment '{name}' has no faces; choose a mesh with a surface.")
+        yield PlacedError(f"The garment '{name}' has no faces; choose a mesh with a surface.", Place(Part.GARMENT))
+        return
     if not np.isfinite(positions).all():
-        bad = int((~np.isfinite(positions)).any(1).sum())
-        raise ValueError(
-            f"{bad} vertices of the garment '{name}' have positions that are not numbers; repair the mesh."
+        bad = (~np.isfinite(positions)).any(1)
+        yield PlacedError(
+            f"{int(bad.sum())} vertices of the garment '{name}' have positions that are not numbers; repair the mesh.",
+            Place.of_vertices(Part.GARMENT, bad),
         )
+        return
     used = np.zeros(len(positions), bool)
     used[faces] = True
     if not used.all():
-        raise ValueError(
+        yield PlacedError(
             f"The garment '{name}' has {int((~used).sum())} loose vertices that belong to no face; "
-            "delete loose geometry."
+            "delete loose geometry.",
+            Place.of_vertices(Part.GARMENT, ~used),
         )
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    _, counts = np.unique(edges, axis=0, return_counts=True)
+    edges, counts = np.unique(edges, axis=0, return_counts=True)
     if (counts > 2).any():
-        raise ValueError(
+        yield PlacedError(
             f"The garment '{name}' has {int((counts > 2).sum())} edges with more than two faces; "
-            "select non-manifold edges and split or delete the extra faces."
+            "select non-manifold edges and split or delete the extra faces.",
+            Place.of_vertices(Part.GARMENT, edges[counts > 2]),
         )
     corners = positions[faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     flat = area < 1e-6 * np.median(area)
     if flat.any():
-        raise ValueError(
+        yield PlacedError(
             f"The garment '{name}' has {int(flat.sum())} faces without area; "
-            "merge vertices by distance or dissolve them."
+            "merge vertices by distance or dissolve them.",
+            Place.of_vertices(Part.GARMENT, faces[flat]),
         )
 
 
-def count_split_vertices(positions: FloatArray, faces: IntArray) -> int:
+def split_vertices(positions: FloatArray, faces: IntArray) -> IntArray:
     """Vertices on open edges that lie where another one lies: there the mesh only looks sewn, and will come apart."""
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, counts = np.unique(edges, axis=0, return_counts=True)
     open_vertices = np.unique(edges[counts == 1])
-    _, there = np.unique(np.round(positions[open_vertices] * 1e6), axis=0, return_counts=True)
-    return int(there[there > 1].sum())
+    rounded = np.round(positions[open_vertices] * 1e6)
+    _, place, there = np.unique(rounded, axis=0, return_inverse=True, return_counts=True)
+    return open_vertices[there[place.ravel()] > 1]
 
 
 def check_body(body: Body) -> None:
@@ -247,14 +261,18 @@ def check_body(body: Body) -> None:
     """
     if not len(body.faces):
         raise ValueError("The body has no faces; choose the mesh that the garment is worn on.")
-    lost = int((~np.isfinite(body.positions)).any(1).sum())
-    if lost:
-        raise ValueError(f"{lost} vertices of the body have positions that are not numbers; repair the mesh.")
+    lost = (~np.isfinite(body.positions)).any(1)
+    if lost.any():
+        raise PlacedError(
+            f"{int(lost.sum())} vertices of the body have positions that are not numbers; repair the mesh.",
+            Place.of_vertices(Part.BODY, lost),
+        )
     size = float(np.ptp(body.positions, axis=0).max())
     if not BODY_SIZES[0] < size < BODY_SIZES[1]:
-        raise ValueError(
+        raise PlacedError(
             f"The body is {size:.3g} m tall; "
-            "set the scene's unit scale, or the armature's, so that it has its true size."
+            "set the scene's unit scale, or the armature's, so that it has its true size.",
+            Place(Part.BODY),
         )
 
 
@@ -269,14 +287,16 @@ def check_fit(name: str, positions: FloatArray, body: Body, distance: NDArray[np
     """
     far = float(np.median(distance))
     if far > 0.15:
-        raise ValueError(
-            f"The garment '{name}' is {far:.2f} m away from the body; put it on the body in the rig's rest pose."
+        raise PlacedError(
+            f"The garment '{name}' is {far:.2f} m away from the body; put it on the body in the rig's rest pose.",
+            Place.of_vertices(Part.GARMENT, distance > 0.15),
         )
-    deep = float((distance < -0.03).mean())
-    if deep > 0.2:
-        raise ValueError(
-            f"{100 * deep:.0f} % of the garment '{name}' lies more than 30 mm inside the body; "
-            "fit it to the body in the rig's rest pose first."
+    deep = distance < -0.03
+    if deep.mean() > 0.2:
+        raise PlacedError(
+            f"{100 * deep.mean():.0f} % of the garment '{name}' lies more than 30 mm inside the body; "
+            "fit it to the body in the rig's rest pose first.",
+            Place.of_vertices(Part.GARMENT, deep),
         )
 
 
@@ -330,9 +350,10 @@ def skin_garment(positions: FloatArray, faces: IntArray, body: Body, *, smoothin
     dense = np.einsum("pc,pcb->pb", binding.weights.astype(np.float64), body.weights[body.faces[binding.faces]])
     total = dense.sum(1, keepdims=True)
     if (total < 1e-3).any():
-        raise ValueError(
+        raise PlacedError(
             f"{int((total < 1e-3).sum())} vertices of the garment lie over parts of the body that no deforming bone "
-            "moves; give the body weights there."
+            "moves; give the body weights there.",
+            Place.of_vertices(Part.GARMENT, total[:, 0] < 1e-3),
         )
     dense = dense / total
     for _ in range(smoothing):

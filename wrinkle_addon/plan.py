@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
@@ -23,6 +24,8 @@ CURVING = 0.17
 """Error of interpolation over the square of the gap, beside how far cloth moves for an angle [1/rad] (measured)."""
 TWIST, HINGE = 0.5, 0.2
 """How far a limb's twist and a hinge move cloth for their angle, beside a ball's swing (measured on a shirt)."""
+SECONDS_PER_VERTEX = 6.0e-4
+"""Measured time of one sample a vertex on one CPU core, for a step of 30 degrees [s] (bench_sample)."""
 LEAST_RANGE = np.radians(5.0)
 """Sides of a range that are smaller than this are not sampled."""
 
@@ -175,6 +178,17 @@ class SamplePlan:
         """Size of the paper's own form: every position of every sample as three floats (W34)."""
         return (len(self.samples) + 1) * vertex_count * 12
 
+    def seconds(self, vertex_count: int) -> float:
+        """About how long a bake takes on one CPU core [s]."""
+        return SECONDS_PER_VERTEX * vertex_count * (len(self.simulated) + 1)
+
+
+def duration_text(seconds: float) -> str:
+    """A time as people say it."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
 
 def spaced_angles(low: float, high: float, step: float) -> tuple[float, ...]:
     """Angles from low to high through 0, no further apart than ``step`` [rad], evenly spaced on each side of 0."""
@@ -205,21 +219,26 @@ def _angles(low: float, high: float, below: int, above: int) -> tuple[float, ...
     )
 
 
-def paper_plan(joints: Sequence[Joint], mirror: Mirror | None = None) -> SamplePlan:
+def paper_plan(
+    joints: Sequence[Joint], mirror: Mirror | None = None, steps: Mapping[str, float] = MappingProxyType({})
+) -> SamplePlan:
     """The paper's plan: hinges every 15 degrees, balls every 30, the spine 3 x 3 x 5 (W15, W16).
 
     The paper does not print its ranges nor how the other balls are cut (X03). Here they have three nodes of twist, as
     its spine has, which with human ranges comes to 315 samples on the upper body and 229 on the lower (W17, W18).
+
+    Args:
+        steps: Widest gap between two angles of joints that are cut otherwise [rad]; a ball's twist keeps its nodes.
     """
-    return SamplePlan(tuple(_paper_grid(joint) for joint in joints), mirror)
+    return SamplePlan(tuple(_paper_grid(joint, steps.get(joint.name)) for joint in joints), mirror)
 
 
-def _paper_grid(joint: Joint) -> JointGrid:
-    if joint.is_chain and joint.dof == 3:
+def _paper_grid(joint: Joint, own_step: float | None) -> JointGrid:
+    if joint.is_chain and joint.dof == 3 and own_step is None:
         counts = zip(joint.limits, SPINE_COUNTS, strict=True)
         angles = tuple(counted_angles(low, high, count) for (low, high), count in counts)
     else:
-        step = HINGE_STEP if joint.is_hinge else BALL_STEP
+        step = own_step or (HINGE_STEP if joint.is_hinge else BALL_STEP)
         angles = tuple(spaced_angles(low, high, step) for low, high in joint.limits)
         if not joint.is_hinge:
             angles = (counted_angles(joint.limits[0, 0], joint.limits[0, 1], TWIST_COUNT), *angles[1:])

@@ -124,7 +124,9 @@ TALKER = """
 import json, sys, time
 print("some other line", file=sys.stderr)
 for done in (1, 2):
+    report = {"residual": 0.02, "converged": done > 1}
     event = {"event": "sample", "name": f"s{done}", "done": done, "total": 9, "seconds": 1.0, "remaining": 600.0}
+    event["report"] = report
     print(json.dumps(event), file=sys.stderr, flush=True)
 time.sleep(60)
 """
@@ -143,6 +145,8 @@ def test_a_bake_reports_progress_and_can_be_stopped(arm: Arm, monkeypatch: pytes
     while process.progress.done < 2 and time.monotonic() < deadline:
         assert process.poll(0.1)
     assert process.progress.text == "2 of 9 samples, 10 min left"
+    assert process.progress.last_sample == "s2, residual 0.02"
+    assert process.progress.restless == ("s1",)
     assert len(temporary_copies() - copies) == 1
     process.close()
     assert temporary_copies() == copies

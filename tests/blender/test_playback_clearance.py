@@ -61,6 +61,16 @@ def synthesised(scene: bpy.types.Scene, arm: Arm, frame: int) -> np.ndarray:
 # --- kept clear ---------------------------------------------------------------------------------------------------
 
 
+def test_the_push_may_be_left_to_renders_and_files(scene: bpy.types.Scene, arm: Arm, tmp_path: Path) -> None:
+    alone = synthesised(scene, arm, 6)
+    arm.sleeve.wrinkles.viewport_detail = "QUICK"
+    scene.frame_set(6)
+    np.testing.assert_array_equal(evaluated_positions(arm.sleeve), alone)
+    bpy.context.view_layer.objects.active = arm.sleeve
+    assert bpy.ops.wrinkle.write_clip(filepath=str(tmp_path / "clear.pc2")) == {"FINISHED"}
+    assert np.abs(PointCache(tmp_path / "clear.pc2").frames[5] - alone).max() > 0.005
+
+
 def test_a_played_garment_is_outside_its_body(scene: bpy.types.Scene, arm: Arm) -> None:
     arm.sleeve.wrinkles.clear_of_body = False
     scene.frame_set(6)

@@ -9,7 +9,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from fake_layout import draw
 from small_character import TOLERANCE, Arm, Bumps, build_arm, empty_scene
+from wrinkle_synthesis.wrinkle_addon.blender.panels.report import WRINKLE_PT_report
 from wrinkle_synthesis.wrinkle_addon.pc2 import PointCache
 from wrinkle_synthesis.wrinkle_addon.rig import Pose
 
@@ -105,6 +107,21 @@ def test_a_synthesized_clip_is_what_evaluation_calls_ours(wrinkle, file: Path, t
     # A cache holds single precision.
     assert result["max_mm"]["ours"] < 0.01 < result["max_mm"]["skinning"]
     assert all(Path(path).is_file() for path in result["plots"])
+
+
+def test_a_kept_evaluation_is_told_and_drawn_by_the_panel(wrinkle, file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "a.pc2"
+    assert wrinkle("synthesize", file, "--out", out).code == 0
+    result = wrinkle("evaluate", file, "--reference", out, "--keep", "--json").result
+    bpy.ops.wm.open_mainfile(filepath=str(file))
+    garment = next(ob for ob in bpy.data.objects if ob.wrinkles.armature is not None)
+    bpy.context.view_layer.objects.active = garment
+    garment.wrinkles.enabled = True
+    bpy.context.view_layer.update()
+    shown = draw(WRINKLE_PT_report)
+    assert f"{result['rmse_mm']['skinning']:.2f} mm RMS" in shown.labels
+    assert bpy.ops.wrinkle.plot_evaluation() == {"FINISHED"}
+    assert {f"{garment.name} error", f"{garment.name} wrinkles"} <= set(bpy.data.images.keys())
 
 
 def test_equilibria_are_a_reference(wrinkle, file: Path) -> None:

@@ -9,11 +9,16 @@ import shutil
 import subprocess
 import tempfile
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 
+from ..attendance import GO_ON, PAUSE
+from ..folder_lock import FolderLock
+from ..plan import duration_text
 from .command import own_command
 from .files import database_folder
 from .preferences import device_name
@@ -30,25 +35,38 @@ class BakeProgress:
         done, total: Samples; total is 0 before the first is done.
         name: The sample that was finished last.
         remaining: Estimated time left [s], None as long as there is no estimate.
+        residual: How far that sample is from equilibrium [nodal weights], None if its source did not say.
+        restless: Samples that did not come to rest so far.
     """
 
     done: int = 0
     total: int = 0
     name: str = ""
     remaining: float | None = None
+    residual: float | None = None
+    restless: tuple[str, ...] = ()
 
     @property
     def text(self) -> str:
         if not self.total:
             return "Starting"
-        left = "" if self.remaining is None else f", {_duration(self.remaining)} left"
+        left = "" if self.remaining is None else f", {duration_text(self.remaining)} left"
         return f"{self.done} of {self.total} samples{left}"
 
+    @property
+    def last_sample(self) -> str:
+        """The sample that was finished last, and how it came out."""
+        if not self.name or self.residual is None:
+            return self.name
+        return f"{self.name}, residual {self.residual:.2g}"
 
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+    def after(self, event: Mapping[str, Any]) -> BakeProgress:
+        """This, and what the process has reported since."""
+        report = event["report"]
+        restless = self.restless if report.get("converged", True) else (*self.restless, event["name"])
+        return BakeProgress(
+            event["done"], event["total"], event["name"], event["remaining"], report.get("residual"), restless
+        )
 
 
 class BakeProcess:
@@ -59,16 +77,20 @@ class BakeProcess:
 
     Attributes:
         progress: As of the last :meth:`poll`.
+        paused: Whether it was told to wait with the next sample.
 
     Raises:
-        ValueError: If the garment has no folder to bake into, or the copy cannot be saved; one sentence.
+        ValueError: If the garment has no folder to bake into, another Blender bakes into it, or the copy cannot be
+            saved; one sentence.
     """
 
     def __init__(self, garment: bpy.types.Object):
         self.progress = BakeProgress()
+        self.paused = False
         self._error = ""
         self._last_line = ""
         database = database_folder(garment)
+        self._lock = FolderLock(database)
         self._folder = Path(tempfile.mkdtemp(prefix="wrinkle-bake-"))
         self._process: subprocess.Popen[str] | None = None
         atexit.register(self.close)
@@ -78,8 +100,9 @@ class BakeProcess:
             self._process = subprocess.Popen(
                 own_command(
                     "bake", str(copy), "--garment", garment.name, "--database", str(database),
-                    "--device", device_name(), "--progress", "json",
+                    "--device", device_name(), "--progress", "json", "--attended",
                 ),
+                stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
                 encoding="utf-8",
@@ -124,6 +147,24 @@ class BakeProcess:
             raise ValueError(self._error or f"The baking process ended with code {code}{last}; bake again to go on.")
         return False
 
+    def pause(self) -> None:
+        """Let the process finish the sample that it works on, and wait."""
+        self._tell(PAUSE)
+        self.paused = True
+
+    def go_on(self) -> None:
+        """Let the process go on after a pause."""
+        self._tell(GO_ON)
+        self.paused = False
+
+    def _tell(self, word: str) -> None:
+        assert self._process is not None and self._process.stdin is not None
+        try:
+            self._process.stdin.write(f"{word}\n")
+            self._process.stdin.flush()
+        except OSError:
+            pass  # It has ended; the next poll says how.
+
     def close(self) -> None:
         """End the process if it runs, and remove the copy of the file."""
         atexit.unregister(self.close)
@@ -135,6 +176,7 @@ class BakeProcess:
                 self._process.kill()
                 self._process.wait()
         shutil.rmtree(self._folder, ignore_errors=True)
+        self._lock.close()
 
     def _read(self, process: subprocess.Popen[str]) -> None:
         assert process.stderr is not None
@@ -149,7 +191,7 @@ class BakeProcess:
             return
         event = json.loads(line)
         if event["event"] == "sample":
-            self.progress = BakeProgress(event["done"], event["total"], event["name"], event["remaining"])
+            self.progress = self.progress.after(event)
         elif event["event"] == "error":
             self._error = event["message"]
 

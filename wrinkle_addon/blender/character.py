@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..cloth_model import FloatArray, IntArray
 from ..garment import Body, Garment, SkinWeights, warp_directions
+from ..place import Part, Place, PlacedError
 from ..rig import Pose, Rig
 from .armature import local_matrices, read_rig, rig_scale
 
@@ -248,9 +249,10 @@ class SamplingStage:
         positions, faces = read_mesh(mesh)
         weights = read_weights(self._body, mesh, self.rig)
         if not weights.any():
-            raise ValueError(
+            raise PlacedError(
                 f"The body '{self._name}' has no vertex groups named like the deforming bones of its armature; "
-                "give it weights first."
+                "give it weights first.",
+                Place(Part.BODY),
             )
         return Body(apply(self._to_rig, positions), faces, weights)
 
@@ -279,10 +281,11 @@ def read_garment(
     """
     positions, faces = read_mesh(ob.data)
     dense = read_weights(ob, ob.data, rig)
-    if (dense.sum(1) <= 0.0).any():
-        raise ValueError(
-            f"{int((dense.sum(1) <= 0.0).sum())} vertices of the garment '{ob.name}' have no bone weights; "
-            "set it up again."
+    bare = dense.sum(1) <= 0.0
+    if bare.any():
+        raise PlacedError(
+            f"{int(bare.sum())} vertices of the garment '{ob.name}' have no bone weights; set it up again.",
+            Place.of_vertices(Part.GARMENT, bare),
         )
     in_rig = apply(to_rig @ np.array(ob.matrix_world, np.float64), positions)
     uvs = read_uvs(ob.data) if directed else None

@@ -105,7 +105,7 @@ class ClipSynthesis:
             {
                 "files": [file_hash(path) for path in files],
                 "garment": self.garment.name,
-                "database": self._database.header.key,
+                "database": [self._database.header.key, self._database.corrections.fingerprint],
                 "formulation": self._formulation.value,
                 "weights": self._weights.value,
                 "coarse": coarse_key(self.garment),

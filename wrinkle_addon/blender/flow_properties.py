@@ -53,6 +53,7 @@ class FlowSettings(bpy.types.PropertyGroup):
     )
     ends: bpy.props.EnumProperty(
         name="Beyond the Ends",
+        description="What shows before the recording begins and after it has ended",
         items=[
             (Ends.HOLD.name, "Hold", "The first or last recorded wrinkles stay"),
             (Ends.LOOP.name, "Loop", "The recording starts again; its last frame is its first"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
@@ -9,6 +10,7 @@ import bpy
 import numpy as np
 
 from ..joints import make_joint, ranges_from_poses, with_ranges
+from ..symmetry import other_side
 from .armature import read_rig
 from .clip import parse_frames, read_clip
 from .properties import GarmentSettings, JointSettings
@@ -67,6 +69,25 @@ def set_range(settings: GarmentSettings, name: str, degrees: Sequence[tuple[floa
     """
     stored = find_joint(settings, name)
     stored.store(with_ranges(stored.joint(), degrees))
+
+
+def mirror_joint(settings: GarmentSettings, name: str) -> None:
+    """Give the joint on the other side this one's range, mirrored, its step and its strength.
+
+    Raises:
+        ValueError: If there is no such joint, or the character is not known to be symmetric.
+    """
+    joint, partner = find_joint(settings, name), find_joint(settings, other_side(name))
+    signs = json.loads(settings.mirror_signs or "{}").get(name)
+    if signs is None and joint.joint().dof > 1:
+        raise ValueError(
+            f"It is not known how the angles of {name} mirror, as rig, body or garment are not symmetric; "
+            f"set the range of {partner.name} by hand."
+        )
+    for axis, sign in enumerate(signs or [1.0]):
+        low, high = sorted((sign * joint.low[axis], sign * joint.high[axis]))
+        partner.low[axis], partner.high[axis] = low, high
+    partner.step, partner.strength, partner.enabled = joint.step, joint.strength, joint.enabled
 
 
 def take_ranges(garment: bpy.types.Object, frames: Sequence[float], margin: float) -> None:

@@ -12,6 +12,7 @@ from bpy.app.handlers import persistent
 
 from . import coarse_playing, playback
 from .node_group import NO_FRAME, find_modifier, get_input, set_input
+from .relative_paths import keep_paths, remap_paths
 from .write import show_skinned, wake_skinning
 
 RENDER_FAILED = 3
@@ -126,6 +127,7 @@ def doubt_file(scene: bpy.types.Scene, unused: object = None) -> None:
 @persistent
 def hide_played(path: str, unused: object = None) -> None:
     """Save garments as skinned, so that a file opened without the add-on never shows a frozen pose."""
+    remap_paths(path)
     _saved_frames.clear()
     for garment, modifier in _modifiers():
         wake_skinning(garment)
@@ -135,7 +137,19 @@ def hide_played(path: str, unused: object = None) -> None:
 
 @persistent
 def show_played(path: str, unused: object = None) -> None:
-    """Go on after saving, or after it failed. Nothing was evaluated in between, so nothing needs to be now."""
+    """Go on after saving. Nothing was evaluated in between, so nothing needs to be now."""
+    keep_paths(path)
+    _show_again()
+
+
+@persistent
+def show_unsaved(path: str, unused: object = None) -> None:
+    """Go on after saving failed."""
+    keep_paths("")
+    _show_again()
+
+
+def _show_again() -> None:
     for garment, modifier in _modifiers():
         set_input(modifier, "Frame", _saved_frames.get(garment.session_uid, NO_FRAME))
     _saved_frames.clear()
@@ -158,7 +172,7 @@ HANDLERS: dict[str, Callable[..., None]] = {
     "redo_post": doubt_file,
     "save_pre": hide_played,
     "save_post": show_played,
-    "save_post_fail": show_played,
+    "save_post_fail": show_unsaved,
 }
 
 classes = ()

@@ -32,7 +32,7 @@ _OBJECTS = ("Coarse", "Body")
 def find_modifier(garment: bpy.types.Object) -> bpy.types.NodesModifier | None:
     """The garment's Wrinkles modifier, whatever it is called by now."""
     for modifier in garment.modifiers:
-        if modifier.type == "NODES" and modifier.node_group and _ANY_VERSION.fullmatch(modifier.node_group.name):
+        if modifier.type == "NODES" and modifier.node_group and is_ours(modifier.node_group):
             return modifier
     return None
 
@@ -100,6 +100,11 @@ def _identifier(modifier: bpy.types.NodesModifier, name: str) -> str:
         if item.name == name and item.in_out == "INPUT":
             return item.identifier
     raise ValueError(f"The node group '{modifier.node_group.name}' was changed: it has no input '{name}'; delete it.")
+
+
+def is_ours(group: bpy.types.NodeTree) -> bool:
+    """Whether a node group is one of this add-on's, of whatever version."""
+    return _ANY_VERSION.fullmatch(group.name) is not None
 
 
 # --- the node group -----------------------------------------------------------------------------------------------

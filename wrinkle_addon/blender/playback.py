@@ -77,6 +77,7 @@ class Player:
 
     Attributes:
         coarse: The garment's coarse layer.
+        reports: What the bake said of every sample, by its name.
         clamped: Joints that went beyond their samples in the last pose, and by how much [rad].
 
     Raises:
@@ -95,7 +96,9 @@ class Player:
         make_writable(garment)
         # Garments that share an armature and were baked for the same rest pose share its pose, too.
         self.rig_key = (source.armature, self.database.header.rig.fingerprint())
-        self._evaluator = JointWrinkles(self.database, source.formulation, source.weights).bind(device)
+        method = JointWrinkles(self.database, source.formulation, source.weights)
+        self.reports = {sample.name: stored.report for sample, stored in method.samples.items()}
+        self._evaluator = method.bind(device)
         self._positions = wp.zeros(self._evaluator.vertex_count, dtype=wp.vec3, device=device)
         self._clearance = BodyClearance(self.database, device)
         on_cpu = self._positions.device.is_cpu
@@ -163,10 +166,11 @@ class Player:
         strengths = evaluated.wrinkles.strengths()
         frame = depsgraph.scene.frame_current_final
         layer = self.coarse.read(garment, depsgraph, self._evaluator, live=not only_changes)
-        body = self._clearance.read(garment, depsgraph, pose, placement)
+        full = depsgraph.mode == "RENDER" or garment.wrinkles.viewport_detail == "FULL"
+        body = self._clearance.read(garment, depsgraph, pose, placement) if full else None
         coarse = None if layer is None else (layer.positions.tobytes(), layer.follow)
         around = None if body is None else (body.tobytes(), garment.wrinkles.clearance)
-        inputs = (pose.matrices.tobytes(), placement.tobytes(), strengths, frame, coarse, around)
+        inputs = (full, pose.matrices.tobytes(), placement.tobytes(), strengths, frame, coarse, around)
         if only_changes and inputs == self._inputs:
             return
         (layer or self._evaluator).evaluate(pose, self._positions, strengths, placement)

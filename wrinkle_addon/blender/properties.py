@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 
 import bpy
 import numpy as np
@@ -19,6 +20,7 @@ from .coarse_layer import MESH, NONE, choose_coarse, tie_coarse
 from .coarse_scene import SIMULATION
 from .flow_properties import FlowSettings
 from .node_group import add_modifier, set_mask
+from .sample_properties import GhostSettings
 from .write import show_skinned
 
 _OVERRIDABLE = {"LIBRARY_OVERRIDABLE"}
@@ -73,6 +75,21 @@ def _masked(settings: GarmentSettings, context: bpy.types.Context) -> None:
     settings.id_data.update_tag()
 
 
+def defined_joint(name: str, definition: str, low: Sequence[float], high: Sequence[float]) -> Joint:
+    """A joint of what is stored of it: JSON, and the lowest and highest angles [rad], of which it uses its own."""
+    data = json.loads(definition)
+    dof = data["dof"]
+    return Joint(
+        name=name,
+        bones=tuple(data["bones"]),
+        near=data["near"],
+        dof=dof,
+        axes=np.array(data["axes"], np.float64),
+        limits=np.stack([np.array(low[:dof]), np.array(high[:dof])], 1).astype(np.float64),
+        shares=np.array(data["shares"], np.float64),
+    )
+
+
 class JointSettings(bpy.types.PropertyGroup):
     """One joint of a garment."""
 
@@ -96,6 +113,17 @@ class JointSettings(bpy.types.PropertyGroup):
         name="To", size=3, subtype="EULER", unit="ROTATION", min=0.0, description="Highest angles, relative to rest"
     )
 
+    step: bpy.props.FloatProperty(
+        name="Step",
+        default=0.0,
+        min=0.0,
+        soft_max=np.pi / 2,
+        subtype="ANGLE",
+        options=set(),
+        description="Widest gap between two sampled angles of the full plan; 0 for the paper's own, "
+        "15 degrees for a hinge and 30 for a ball",
+    )
+
     def store(self, joint: Joint) -> None:
         """Remember a joint."""
         self.name = joint.name
@@ -113,26 +141,26 @@ class JointSettings(bpy.types.PropertyGroup):
 
     def joint(self) -> Joint:
         """The joint, with its range as it stands now."""
-        data = json.loads(self.definition)
-        dof = data["dof"]
-        return Joint(
-            name=self.name,
-            bones=tuple(data["bones"]),
-            near=data["near"],
-            dof=dof,
-            axes=np.array(data["axes"], np.float64),
-            limits=np.stack([np.array(self.low[:dof]), np.array(self.high[:dof])], 1).astype(np.float64),
-            shares=np.array(data["shares"], np.float64),
-        )
+        return defined_joint(self.name, self.definition, tuple(self.low), tuple(self.high))
 
 
 class GarmentSettings(bpy.types.PropertyGroup):
     """Settings of one garment object; ``armature`` is set on garments that take part."""
 
-    armature: bpy.props.PointerProperty(type=bpy.types.Object, name="Armature", override=_OVERRIDABLE)
-    body: bpy.props.PointerProperty(type=bpy.types.Object, name="Body", override=_OVERRIDABLE)
+    armature: bpy.props.PointerProperty(
+        type=bpy.types.Object, name="Armature", override=_OVERRIDABLE, description="The rig that moves body and garment"
+    )
+    body: bpy.props.PointerProperty(
+        type=bpy.types.Object, name="Body", override=_OVERRIDABLE, description="The mesh that the garment is worn on"
+    )
     original: bpy.props.PointerProperty(
         type=bpy.types.Object, name="Original", description="The garment that this finer copy was made from"
+    )
+    original_hidden: bpy.props.BoolVectorProperty(
+        size=2, options={"HIDDEN"}, description="Whether the original was hidden in viewport and render"
+    )
+    before: bpy.props.PointerProperty(
+        type=bpy.types.Object, options={"HIDDEN"}, description="The garment as it was before it was set up"
     )
     database: bpy.props.StringProperty(
         name="Database",
@@ -167,6 +195,7 @@ class GarmentSettings(bpy.types.PropertyGroup):
     )
     formulation: bpy.props.EnumProperty(
         name="Formulation",
+        description="How the samples of several joints meet in one pose",
         items=[
             (Formulation.OFFSETS.name, "Offsets", "Offsets over skinning, added up over the joints"),
             (Formulation.PAPER.name, "Paper", "Positions along arcs, averaged by distance (Wang et al. 2010)"),
@@ -271,6 +300,7 @@ class GarmentSettings(bpy.types.PropertyGroup):
     )
     weights: bpy.props.EnumProperty(
         name="Blend Weights",
+        description="How far over the garment each joint reaches",
         items=[
             (BlendWeights.DISTANCE.name, "By Distance", "Each joint reaches as far as its regions are near"),
             (BlendWeights.MEASURED.name, "Measured", "Each joint reaches as far as its samples change the cloth"),
@@ -297,14 +327,32 @@ class GarmentSettings(bpy.types.PropertyGroup):
         override=_OVERRIDABLE,
         update=_played_anew,
     )
+    viewport_detail: bpy.props.EnumProperty(
+        name="In Viewport",
+        items=[
+            ("FULL", "As Rendered", "All that the render shows"),
+            ("QUICK", "Without Push-Out", "Wrinkles may go into the body; a render is kept clear of it all the same"),
+        ],
+        default="FULL",
+        description="What is left out in the viewport to play faster",
+        options=set(),
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
     flow: bpy.props.PointerProperty(type=FlowSettings, override=_OVERRIDABLE)
+    ghost: bpy.props.PointerProperty(type=GhostSettings)
     joints: bpy.props.CollectionProperty(type=JointSettings, override=_OVERRIDABLE)
     skinning_rests: bpy.props.BoolProperty(
         options={"HIDDEN"}, description="The Armature modifier is off as long as the animation plays"
     )
+    mirror_signs: bpy.props.StringProperty(
+        options={"HIDDEN"}, description="Factors of the angles of mirrored joints, if the character is symmetric; JSON"
+    )
     notes: bpy.props.StringProperty(description="Sentences on joints that were not found, one a line")
-    active_joint: bpy.props.IntProperty()
-    plan: bpy.props.EnumProperty(name="Plan", items=PLANS, default="PAPER")
+    active_joint: bpy.props.IntProperty(name="Joint", description="The joint that is chosen in the list")
+    plan: bpy.props.EnumProperty(
+        name="Plan", items=PLANS, default="PAPER", description="Which angles of the joints are sampled"
+    )
     budget: bpy.props.IntProperty(
         name="Samples", default=36, min=1, description="Most samples to simulate; mirror images come for free"
     )
@@ -394,6 +442,8 @@ def active_garment(context: bpy.types.Context) -> bpy.types.Object | None:
         return None
     if active.type == "MESH" and active.wrinkles.armature is not None:
         return active
+    if active.wrinkle_sample.garment is not None:
+        return active.wrinkle_sample.garment
     worn = (ob for ob in context.scene.objects if ob.type == "MESH" and ob.wrinkles.armature == active)
     return next(worn, None) if active.type == "ARMATURE" else None
 

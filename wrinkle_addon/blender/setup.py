@@ -11,19 +11,23 @@ import numpy as np
 from ..bake import BakeJob
 from ..garment import (
     Body,
+    Garment,
     SkinWeights,
     bind_to_surface,
     check_body,
     check_fit,
     check_surface,
-    count_split_vertices,
     skin_garment,
+    split_vertices,
 )
 from ..joints import JointSearch, find_joints
+from ..place import Part, Place, PlacedError
 from ..plan import SamplePlan, budget_plan, paper_plan
 from ..rig import Joint, Rig
 from ..symmetry import find_mirror, symmetric_limits
 from .character import SamplingStage, apply, check_objects, read_garment, read_mesh, rig_from_world, sampling_stage
+from .plan_preview import signs_text
+from .removal import remember_garment
 
 LEAST_VERTICES = 10_000
 MOST_SUBDIVISIONS = 4
@@ -99,9 +103,12 @@ def setup_garment(
         except BaseException:
             bpy.data.meshes.remove(mesh)
             raise
-        rig = stage.rig
-    fine = place_copy(garment, mesh) if mesh_differs(garment, mesh) else garment
-    if fine is garment:
+        rig, body_mesh = stage.rig, stage.body
+    if mesh_differs(garment, mesh):
+        fine = place_copy(garment, mesh)
+    else:
+        fine = garment
+        fine.wrinkles.before = remember_garment(garment)
         bpy.data.meshes.remove(mesh)
     write_weights(fine, rig, weights)
     bind_to_armature(fine, armature)
@@ -113,9 +120,11 @@ def setup_garment(
     settings.joints.clear()
     for joint in used:
         settings.joints.add().store(joint)
+    worn_garment = Garment(fine.name, worn, faces, weights, np.zeros(len(worn), np.float32))
+    settings.mirror_signs = signs_text(find_mirror(rig, used, worn_garment, body_mesh))
     if not settings.database:
         settings.database = f"//{bpy.path.clean_name(garment.name)}.wrinkles"
-    split = count_split_vertices(positions, faces)
+    split = len(split_vertices(positions, faces))
     sewn = f"{split} vertices of '{garment.name}' lie where others do and will come apart; merge vertices by distance."
     return SetupResult(fine, search, tuple(joint.name for joint in used), (*search.notes, *([sewn] if split else [])))
 
@@ -167,8 +176,10 @@ def mesh_differs(garment: bpy.types.Object, mesh: bpy.types.Mesh) -> bool:
 def place_copy(garment: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
     """A new object of a finer mesh beside the garment, which is hidden; an earlier copy is replaced."""
     name = garment.name + SUFFIX
+    hidden = garment.hide_viewport, garment.hide_render
     earlier = bpy.data.objects.get(name)
     if earlier is not None and earlier.wrinkles.original == garment:
+        hidden = tuple(earlier.wrinkles.original_hidden)
         bpy.data.objects.remove(earlier)
     copy = garment.copy()
     copy.name, mesh.name = name, name
@@ -179,6 +190,7 @@ def place_copy(garment: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Obj
     keep_from = next((i for i, m in enumerate(copy.modifiers) if m.type == "ARMATURE"), len(copy.modifiers))
     for modifier in list(copy.modifiers)[:keep_from]:
         copy.modifiers.remove(modifier)
+    copy.wrinkles.original_hidden = hidden
     garment.hide_render = True
     garment.hide_viewport = True
     return copy
@@ -236,21 +248,28 @@ def stage_job(garment: bpy.types.Object, stage: SamplingStage) -> BakeJob:
     baked = settings.bake_settings()
     to_rig = rig_from_world(settings.armature)
     read = read_garment(garment, rig, to_rig, settings.pin_group, directed=baked.fabric.directed)
-    joints = []
-    for stored in settings.joints:
-        joint = stored.joint()
-        gone = [name for name in (*joint.bones, *([joint.near] if joint.near else [])) if name not in rig.index]
-        if gone:
-            raise ValueError(
-                f"Joint {joint.name} uses the bone {gone[0]}, which the armature no longer has; "
-                "set the garment up again."
-            )
-        if stored.enabled:
-            joints.append(joint)
+    stored = [(stored_joint(each, rig), each.enabled) for each in settings.joints]
+    joints = [joint for joint, enabled in stored if enabled]
     if not joints:
         raise ValueError(f"No joint of the garment '{garment.name}' is chosen for sampling; add or choose one.")
     plan = make_plan(settings, rig, joints, read, stage.body)
     return BakeJob(rig, read, stage.body, plan, baked)
+
+
+def stored_joint(stored: Any, rig: Rig) -> Joint:
+    """A joint of a garment, as its rig still has it.
+
+    Raises:
+        PlacedError: If a bone of it is gone.
+    """
+    joint = stored.joint()
+    gone = [name for name in (*joint.bones, *([joint.near] if joint.near else [])) if name not in rig.index]
+    if gone:
+        raise PlacedError(
+            f"Joint {joint.name} uses the bone {gone[0]}, which the armature no longer has; set the garment up again.",
+            Place(Part.JOINT, names=(joint.name,)),
+        )
+    return joint
 
 
 def make_plan(settings: Any, rig: Rig, joints: list[Joint], garment, body: Body) -> SamplePlan:
@@ -260,4 +279,9 @@ def make_plan(settings: Any, rig: Rig, joints: list[Joint], garment, body: Body)
         joints = symmetric_limits(joints, mirror)
     if settings.plan == "BUDGET":
         return budget_plan(joints, settings.budget, mirror)
-    return paper_plan(joints, mirror)
+    return paper_plan(joints, mirror, steps_of(settings))
+
+
+def steps_of(settings: Any) -> dict[str, float]:
+    """Steps that the artist set, by joint [rad]."""
+    return {joint.name: float(joint.step) for joint in settings.joints if joint.step > 0.0}

@@ -12,10 +12,12 @@ from typing import Any
 
 import bpy
 
+from ..attendance import Attendance
 from ..bake import BakeEvent, BakeJob, SimulatedSamples, finish
 from ..bake import bake as bake_samples
 from ..database import MANIFEST, read_manifest
 from ..folder_verbs import choose_device
+from ..plan import duration_text
 from .bake_workers import run_workers
 from .character import sampling_stage
 from .command import own_command
@@ -23,9 +25,6 @@ from .files import check_output, save_character
 from .setup import stage_job
 from .verb_options import find_database, find_garment, open_file, say
 from .verbs_setup import choose_plan
-
-SECONDS_PER_VERTEX = 6.0e-4
-"""Measured time of one sample a vertex on one CPU core, for a step of 30 degrees [s]; see benchmarks/sample.py."""
 
 
 def plan(options: argparse.Namespace) -> Mapping[str, Any]:
@@ -40,7 +39,7 @@ def plan(options: argparse.Namespace) -> Mapping[str, Any]:
     if options.out is not None:
         save_character(options.out)
     sample_plan, vertices = job.plan, job.garment.vertex_count
-    seconds = SECONDS_PER_VERTEX * vertices * (len(sample_plan.simulated) + 1)
+    seconds = sample_plan.seconds(vertices)
     joints = {
         grid.joint.name: {
             "samples": math.prod(grid.shape) - 1,
@@ -53,7 +52,7 @@ def plan(options: argparse.Namespace) -> Mapping[str, Any]:
     text = [f"{name}: {' x '.join(map(str, joint['grid']))}" for name, joint in joints.items()]
     text.append(
         f"{len(sample_plan.samples) + 1} samples, {len(sample_plan.simulated) + 1} to simulate, "
-        f"at most {raw / 1e6:.3g} MB, about {_duration(seconds)} on one core"
+        f"at most {raw / 1e6:.3g} MB, about {duration_text(seconds)} on one core"
     )
     return {
         "samples": len(sample_plan.samples) + 1,
@@ -68,10 +67,6 @@ def plan(options: argparse.Namespace) -> Mapping[str, Any]:
     }
 
 
-def _duration(seconds: float) -> str:
-    return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.1f} hours"
-
-
 def bake(options: argparse.Namespace) -> Mapping[str, Any]:
     device = choose_device(options.device)
     shard = _shard(options.shard)
@@ -79,6 +74,8 @@ def bake(options: argparse.Namespace) -> Mapping[str, Any]:
     garment = find_garment(options)
     folder = find_database(options, garment)
     report = _reporter(options.progress)
+    if options.attended:
+        report = _attended(report, Attendance(sys.stdin))
     with sampling_stage(garment.wrinkles.armature, garment.wrinkles.body) as stage:
         job = stage_job(garment, stage)
         _check_folder(folder, job)
@@ -150,6 +147,16 @@ def _reporter(kind: str) -> Callable[[BakeEvent], None]:
         say(f"[{event.done}/{event.total}] {event.name}: {event.seconds:.1f} s{note}{left}")
 
     return as_json if kind == "json" else as_text
+
+
+def _attended(report: Callable[[BakeEvent], None], attendance: Attendance) -> Callable[[BakeEvent], None]:
+    """Report, and wait with the next sample if told to."""
+
+    def report_and_wait(event: BakeEvent) -> None:
+        report(event)
+        attendance.wait()
+
+    return report_and_wait
 
 
 def _share(

@@ -15,6 +15,7 @@ from ..bake import BakeJob
 from ..database import MANIFEST, WrinkleDatabase
 from ..evaluate import EvaluatedFrame, worst_of
 from ..evaluate import evaluate as evaluate_frames
+from ..evaluation_record import write_evaluation
 from ..folder_verbs import choose_device
 from ..joint_wrinkles import BlendWeights, Formulation
 from ..losses import LossFinder, mean_losses
@@ -212,6 +213,8 @@ def evaluate(options: argparse.Namespace) -> Mapping[str, Any]:
             push = PushOut(bind_to_body(database, job.body), ClearanceSettings(garment.wrinkles.clearance), device)
         weights = _weights(options, garment)
         result = evaluate_frames(database, compared(), job.body.faces, device, weights, push)
+    if options.keep:
+        write_evaluation(database.folder, database.header.key, result)
     if options.plots is not None:
         result["plots"] = [str(path) for path in plot_evaluation(result, options.plots)]
     rows = [

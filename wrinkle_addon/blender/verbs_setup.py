@@ -6,24 +6,20 @@ import argparse
 import json
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import bpy
-import numpy as np
 
-from ..bake import BakeJob
 from ..coarse_mesh import VERTEX_COUNT
-from ..database import MANIFEST, WrinkleDatabase
 from ..fabrics import find_fabric
 from ..joints import describe_joint, joints_to_json
-from .character import SamplingStage, sampling_stage
-from .coarse_layer import MESH, NONE, doubt_of, match_coarse
+from .character import sampling_stage
+from .coarse_layer import MESH
 from .coarse_scene import SIMULATION
 from .coarse_setup import choose, make_coarse
 from .files import check_output, save_character
 from .garment_joints import add_joint, choose_joints, remove_joint, set_range, take_named_ranges
-from .matching import check_database
+from .inspection import inspect_garment
 from .rig_files import animate_file, joints_of_file
 from .setup import setup_garment, stage_job
 from .verb_options import find_database, find_garment, find_object, open_file, open_path
@@ -173,19 +169,10 @@ def animate(options: argparse.Namespace) -> Mapping[str, Any]:
 def check(options: argparse.Namespace) -> Mapping[str, Any]:
     """Everything that would stop a bake or playing, found by going through the motions without simulating."""
     open_file(options)
-    problems, notes = [], []
     garment = find_garment(options)
-    settings = garment.wrinkles
-    try:
-        with sampling_stage(settings.armature, settings.body) as stage:
-            job = stage_job(garment, stage)
-            _check_extremes(stage, job)
-        notes.append(f"{len(job.plan.samples) + 1} samples of {job.garment.vertex_count} vertices would be baked.")
-        notes += _database_notes(find_database(options, garment), garment, job)
-        if settings.coarse_layer != NONE and (doubt := doubt_of(garment, match_coarse(garment))):
-            notes.append(doubt)
-    except ValueError as error:
-        problems.append(str(error))
+    findings = inspect_garment(garment, find_database(options, garment))
+    problems = [finding.text for finding in findings if finding.stops]
+    notes = [finding.text for finding in findings if not finding.stops]
     return {
         "ok": not problems,
         "problems": problems,
@@ -193,26 +180,3 @@ def check(options: argparse.Namespace) -> Mapping[str, Any]:
         "text": "\n".join([*problems, *notes]),
         "exit_code": 2 if problems else 0,
     }
-
-
-def _check_extremes(stage: SamplingStage, job: BakeJob) -> None:
-    """Pose the body at the end of every range."""
-    for sample in job.plan.samples:
-        grid = job.plan.grid[sample.joint]
-        if all(i in (0, n - 1) for i, n in zip(sample.index, grid.shape, strict=True)):
-            if not np.isfinite(stage.positions(job.pose(sample))).all():
-                raise ValueError(f"The body falls apart when joint {sample.joint} is turned to the end of its range.")
-
-
-def _database_notes(folder: Path, garment: bpy.types.Object, job: BakeJob) -> list[str]:
-    """What there is to say of the garment's database, which a bake would mend."""
-    if not (folder / MANIFEST).exists():
-        return [f"The database '{folder}' is not baked yet."]
-    try:
-        database = WrinkleDatabase.open(folder, check_hashes=True)
-        check_database(garment, database.header)
-    except ValueError as error:
-        return [str(error)]
-    if database.header.key != job.key:
-        return [f"The database '{folder}' was baked with other settings, weights or body; it plays as it was baked."]
-    return [f"The database '{folder}' is complete and up to date."]

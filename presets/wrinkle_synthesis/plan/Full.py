@@ -1,0 +1,6 @@
+import bpy
+
+wrinkles = bpy.context.object.wrinkles
+
+wrinkles.plan = "PAPER"
+wrinkles.use_symmetry = True

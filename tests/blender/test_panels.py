@@ -1,0 +1,299 @@
+"""The sidebar as an animator reads it: one path, reasons instead of dead buttons, places instead of riddles."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from dolls import doll
+from fake_layout import SidebarContext, draw
+from figures import build_figure
+from small_character import Arm, Bumps, build_arm, empty_scene
+from wrinkle_synthesis.operators import registration
+from wrinkle_synthesis.wrinkle_addon.blender import bake_process, flow_panel, panels, playback
+from wrinkle_synthesis.wrinkle_addon.blender.bake_process import BakeProcess, BakeProgress, running
+from wrinkle_synthesis.wrinkle_addon.blender.guess import guess_character
+from wrinkle_synthesis.wrinkle_addon.blender.inspection import found
+from wrinkle_synthesis.wrinkle_addon.blender.plan_preview import preview_plan
+
+STEPS = ["Character", "Joints", "Plan", "Bake", "Play", "Coarse Layer", "Cache", "Export", "Report"]
+
+
+@pytest.fixture
+def arm(bumps: Bumps, database: Path) -> Arm:
+    empty_scene()
+    arm = build_arm("", database)
+    bpy.context.view_layer.objects.active = arm.sleeve
+    bpy.context.view_layer.update()
+    return arm
+
+
+def all_panels() -> list[type[bpy.types.Panel]]:
+    return [cls for cls in (*panels.classes, *flow_panel.classes) if issubclass(cls, bpy.types.Panel)]
+
+
+def test_the_tab_holds_one_path_from_the_character_to_the_report() -> None:
+    steps = [panel for panel in all_panels() if not hasattr(panel, "bl_parent_id")]
+    assert [panel.bl_label for panel in steps] == STEPS
+    assert {panel.bl_category for panel in all_panels()} == {"Wrinkle"}
+
+
+@pytest.mark.parametrize("panel", all_panels(), ids=lambda panel: panel.__name__)
+def test_every_panel_draws(arm: Arm, panel: type[bpy.types.Panel]) -> None:
+    assert not hasattr(panel, "poll") or panel.poll(SidebarContext())
+    assert draw(panel).operators or draw(panel).properties or draw(panel).labels
+
+
+@pytest.mark.parametrize("panel", all_panels(), ids=lambda panel: panel.__name__)
+def test_every_panel_draws_before_anything_was_baked(arm: Arm, panel: type[bpy.types.Panel]) -> None:
+    arm.sleeve.wrinkles.database = ""
+    arm.sleeve.wrinkles.enabled = False
+    arm.sleeve.wrinkles.coarse_layer = "SIMULATION"
+    arm.sleeve.wrinkles.plan = "BUDGET"
+    draw(panel)
+
+
+def test_without_a_garment_there_is_the_first_step_alone() -> None:
+    empty_scene()
+    context = SidebarContext()
+    shown = [panel for panel in all_panels() if not hasattr(panel, "poll") or panel.poll(context)]
+    assert shown == [panels.character.WRINKLE_PT_character]
+    assert "Select the garment" in draw(panels.character.WRINKLE_PT_character).text
+
+
+def test_everything_that_is_set_has_a_tooltip() -> None:
+    bare = []
+    for cls in [cls for module in registration.MODULES for cls in module.classes]:
+        if issubclass(cls, bpy.types.Operator):
+            assert cls.__doc__, cls.__name__
+            described = cls.bl_rna.properties
+        elif issubclass(cls, bpy.types.PropertyGroup):
+            described = cls.bl_rna.properties
+        else:
+            continue
+        own = [described[name] for name in cls.__annotations__ if name in described]
+        shown = [each for each in own if not each.is_hidden and each.type not in ("POINTER", "COLLECTION")]
+        bare += [f"{cls.__name__}.{each.identifier}" for each in shown if not each.description]
+    assert not bare, ", ".join(bare)
+
+
+# --- the character ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def figure() -> None:
+    empty_scene()
+    build_figure(doll(21, 8))
+
+
+@pytest.mark.parametrize("selected", [(), ("body",)])
+def test_body_and_armature_are_guessed_from_the_garment(figure: None, selected: tuple[str, ...]) -> None:
+    objects = bpy.data.objects
+    for ob in objects:
+        ob.select_set(ob.name in selected)
+    bpy.context.view_layer.objects.active = objects["shirt"]
+    guess = guess_character(bpy.context)
+    assert (guess.garment, guess.body, guess.armature) == (objects["shirt"], objects["body"], objects["Figure"])
+    assert guess.missing == ""
+    shown = draw(panels.character.WRINKLE_PT_character)
+    assert {"shirt", "body", "Figure"} <= set(shown.labels)
+
+
+def test_what_is_missing_for_a_guess_is_said(figure: None) -> None:
+    bpy.data.objects.remove(bpy.data.objects["body"])
+    bpy.context.view_layer.objects.active = bpy.data.objects["shirt"]
+    assert "Select the body" in draw(panels.character.WRINKLE_PT_character).text
+
+
+# --- the check ----------------------------------------------------------------------------------------------------
+
+
+def checked(arm: Arm) -> list[str]:
+    assert bpy.ops.wrinkle.check_garment() == {"FINISHED"}
+    return [finding.text for finding in found[arm.sleeve.session_uid] if finding.stops]
+
+
+def index_of(arm: Arm, words: str) -> int:
+    return next(i for i, each in enumerate(found[arm.sleeve.session_uid]) if words in each.text)
+
+
+def test_a_sound_garment_has_no_problems(arm: Arm) -> None:
+    assert checked(arm) == []
+    assert "Ready to bake" in draw(panels.character.WRINKLE_PT_problems).labels
+
+
+def test_every_problem_is_listed_with_a_button_to_its_place(arm: Arm) -> None:
+    mesh = arm.sleeve.data
+    arm.sleeve.vertex_groups["upper"].remove([0, 1])
+    mesh.vertices.add(2)
+    arm.armature.data.bones["lower"].name = "other"
+    problems = checked(arm)
+    assert len(problems) == 3
+    shown = draw(panels.character.WRINKLE_PT_problems)
+    assert shown.operators.count("wrinkle.show_problem") == 3
+
+
+def test_the_button_selects_the_vertices(arm: Arm) -> None:
+    arm.sleeve.vertex_groups["upper"].remove([3, 4])
+    checked(arm)
+    bpy.ops.wrinkle.show_problem(index=index_of(arm, "no bone weights"))
+    assert bpy.context.mode == "EDIT_MESH"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    chosen = np.zeros(len(arm.sleeve.data.vertices), bool)
+    arm.sleeve.data.vertices.foreach_get("select", chosen)
+    assert set(np.flatnonzero(chosen)) == {3, 4}
+
+
+def test_the_button_selects_the_bones_of_a_joint(arm: Arm) -> None:
+    arm.armature.data.bones["lower"].name = "other"
+    checked(arm)
+    bpy.ops.wrinkle.show_problem(index=index_of(arm, "uses the bone lower"))
+    assert bpy.context.mode == "POSE"
+    chosen = {bone.name for bone in arm.armature.pose.bones if (bone if hasattr(bone, "select") else bone.bone).select}
+    assert chosen == {"upper"}
+    assert arm.sleeve.wrinkles.active_joint == 0
+
+
+def test_a_list_that_is_out_of_date_is_refused(arm: Arm) -> None:
+    checked(arm)
+    with pytest.raises(RuntimeError, match="out of date"):
+        bpy.ops.wrinkle.show_problem(index=99)
+
+
+# --- joints and plan ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def shirt(figure: None) -> bpy.types.Object:
+    assert bpy.ops.wrinkle.setup_garment(garment="shirt", body="body", subdivide=0) == {"FINISHED"}
+    return bpy.context.object
+
+
+def test_the_plan_is_counted_as_it_is_changed(wrinkle, shirt: bpy.types.Object, tmp_path: Path) -> None:
+    for plan in ("PAPER", "BUDGET"):
+        shirt.wrinkles.plan = plan
+        shown = preview_plan(shirt)
+        assert shown is not None
+        path = tmp_path / f"{plan}.blend"
+        bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
+        planned = wrinkle("plan", path, "--json").result
+        bpy.ops.wm.open_mainfile(filepath=str(path))
+        shirt = bpy.data.objects["shirt"]
+        assert (shown.samples, shown.simulated) == (planned["samples"], planned["simulated"])
+        assert shown.megabytes == pytest.approx(planned["raw_bytes"] / 1e6)
+        assert shown.seconds == pytest.approx(3600 * planned["hours"])
+
+
+def test_a_joint_may_have_a_step_of_its_own(shirt: bpy.types.Object) -> None:
+    joint = shirt.wrinkles.joints["elbow_L"]
+    joint.low[0], joint.high[0] = 0.0, np.radians(90.0)
+    counts = []
+    for degrees in (0.0, 45.0, 10.0):
+        joint.step = np.radians(degrees)
+        counts.append(preview_plan(shirt).grids["elbow_L"])
+    # The other elbow's range counts, too, as one side's samples serve both; so only the order is certain.
+    assert counts[1] < counts[0] < counts[2]
+
+
+def test_nothing_to_sample_is_said(arm: Arm) -> None:
+    for joint in arm.sleeve.wrinkles.joints:
+        joint.enabled = False
+    assert "switch a joint on" in draw(panels.plan.WRINKLE_PT_plan).text
+
+
+def test_a_joint_is_mirrored_to_the_other_side(shirt: bpy.types.Object) -> None:
+    settings = shirt.wrinkles
+    settings.active_joint = settings.joints.find("shoulder_L")
+    joint, partner = settings.joints["shoulder_L"], settings.joints["shoulder_R"]
+    joint.low, joint.high, joint.step, joint.enabled = (-0.1, -0.2, -0.3), (0.4, 0.5, 0.6), 0.2, False
+    assert bpy.ops.wrinkle.mirror_joint() == {"FINISHED"}
+    assert not partner.enabled and partner.step == pytest.approx(0.2)
+    for axis in range(3):
+        own, other = (joint.low[axis], joint.high[axis]), (partner.low[axis], partner.high[axis])
+        assert other == pytest.approx(own) or other == pytest.approx((-own[1], -own[0]))
+    # Twice mirrored is as it was.
+    settings.active_joint = settings.joints.find("shoulder_R")
+    bpy.ops.wrinkle.mirror_joint()
+    np.testing.assert_allclose(joint.low, (-0.1, -0.2, -0.3), atol=1e-6)
+
+
+def test_a_joint_of_the_middle_has_nothing_to_mirror(arm: Arm) -> None:
+    assert not bpy.ops.wrinkle.mirror_joint.poll()
+
+
+# --- the bake -----------------------------------------------------------------------------------------------------
+
+
+def test_a_running_bake_tells_how_far_it_is(arm: Arm) -> None:
+    class Running:
+        paused = False
+        progress = BakeProgress(3, 12, "elbow_L-2", 90.0, 0.013, ("elbow_L-1",))
+
+    running[arm.sleeve.session_uid] = Running()
+    try:
+        shown = draw(panels.bake.WRINKLE_PT_bake)
+        assert "3 of 12 samples, 2 min left" in shown.labels
+        assert "elbow_L-2, residual 0.013" in shown.labels
+        assert "1 did not come to rest" in shown.labels
+        assert {"wrinkle.pause_bake", "wrinkle.cancel_bake"} <= set(shown.operators)
+        assert not bpy.ops.wrinkle.bake.poll()
+    finally:
+        running.clear()
+    assert not bpy.ops.wrinkle.pause_bake.poll() and not bpy.ops.wrinkle.cancel_bake.poll()
+
+
+def wait_for(process: BakeProcess, done: int) -> None:
+    deadline = time.monotonic() + 120.0
+    while process.progress.done < done and process.poll(0.1):
+        assert time.monotonic() < deadline
+
+
+def test_a_paused_bake_waits_with_the_next_sample_and_goes_on(arm: Arm, tmp_path: Path) -> None:
+    settings = arm.sleeve.wrinkles
+    settings.database, settings.plan, settings.budget = str(tmp_path / "s.wrinkles"), "BUDGET", 3
+    settings.joints["shoulder_L"].enabled = False
+    with BakeProcess(arm.sleeve) as process:
+        process.pause()
+        assert process.paused
+        wait_for(process, 1)
+        # Nothing more comes: one that did not pause would finish these samples in less.
+        end = time.monotonic() + 3.0
+        while time.monotonic() < end:
+            assert process.poll(0.1)
+        assert process.progress.done == 1
+        process.go_on()
+        wait_for(process, process.progress.total)
+        assert process.progress.residual is not None
+
+
+def test_two_windows_do_not_bake_into_one_folder(arm: Arm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    monkeypatch.setattr(bake_process, "own_command", lambda *arguments: [sys.executable, "-c", "input()"])
+    arm.sleeve.wrinkles.database = str(tmp_path / "s.wrinkles")
+    with BakeProcess(arm.sleeve):
+        with pytest.raises(ValueError, match="Another Blender is baking into"):
+            BakeProcess(arm.sleeve)
+    assert not list((tmp_path / "s.wrinkles").iterdir())
+
+
+# --- playing and the report ---------------------------------------------------------------------------------------
+
+
+def test_an_error_is_shown_where_the_garment_is_played(arm: Arm, tmp_path: Path) -> None:
+    arm.sleeve.wrinkles.database = str(tmp_path / "nowhere.wrinkles")
+    bpy.context.view_layer.update()
+    shown = draw(panels.play.WRINKLE_PT_play)
+    assert "There is no database" in shown.text
+
+
+def test_the_report_names_samples_that_did_not_come_to_rest(arm: Arm) -> None:
+    player = playback.status(arm.sleeve).player
+    assert player is not None
+    player.reports = {"elbow_L-1": {"residual": 0.5, "converged": False, "restless": "the cuff"}, "elbow_L-2": {}}
+    shown = draw(panels.report.WRINKLE_PT_report)
+    assert "elbow_L-1  the cuff" in shown.labels
+    assert "0.5" in shown.labels

@@ -1,0 +1,190 @@
+"""What would go wrong with a garment, before it does, and where: the verb ``check`` and the panel's list."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..bake import BakeJob
+from ..database import MANIFEST, WrinkleDatabase
+from ..garment import bind_to_surface, check_body, check_fit, split_vertices, surface_problems
+from ..place import Part, Place, PlacedError
+from .character import SamplingStage, check_objects, read_garment, read_mesh, rig_from_world, sampling_stage
+from .coarse_layer import NONE, doubt_of, match_coarse
+from .files import database_folder
+from .matching import check_database
+from .setup import stage_job, stored_joint
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that there is to know.
+
+    Attributes:
+        text: One sentence that says what it is and what to do.
+        place: Where to look, if there is such a place.
+        stops: Whether it keeps the garment from being baked.
+    """
+
+    text: str
+    place: Place | None = None
+    stops: bool = True
+
+
+found: dict[int, list[Finding]] = {}
+"""What was found last, by the session_uid of the garment."""
+
+
+def inspect_garment(garment: bpy.types.Object, folder: Path | None = None) -> list[Finding]:
+    """Go through the motions of a bake and of playing without simulating.
+
+    Args:
+        garment: A garment that was set up.
+        folder: Its database; left out, the one that it remembers.
+    """
+    settings = garment.wrinkles
+    findings: list[Finding] = []
+    with _noting(findings):
+        check_objects(garment, settings.body, settings.armature)
+    if findings:
+        return findings
+    if garment.data.is_editmode:
+        return [Finding("Leave edit mode first: what is edited cannot be checked.", Place(Part.GARMENT))]
+    positions, faces = read_mesh(garment.data)
+    findings += [Finding(str(error), error.place) for error in surface_problems(garment.name, positions, faces)]
+    with _noting(findings), sampling_stage(settings.armature, settings.body) as stage:
+        findings += _stage_findings(garment, stage)
+        if not any(finding.stops for finding in findings):
+            job = stage_job(garment, stage)
+            _check_extremes(stage, job)
+            samples = len(job.plan.samples) + 1
+            findings += _notes(f"{samples} samples of {job.garment.vertex_count} vertices would be baked.")
+            findings += _notes(_database_note(folder or database_folder(garment), garment, job))
+    if len(split := split_vertices(positions, faces)):
+        text = f"{len(split)} vertices of '{garment.name}' lie where others do and will come apart; merge by distance."
+        findings.append(Finding(text, Place.of_vertices(Part.GARMENT, split), stops=False))
+    if settings.coarse_layer != NONE:
+        with _noting(findings):
+            findings += _notes(doubt_of(garment, match_coarse(garment)))
+    return findings
+
+
+@contextmanager
+def _noting(findings: list[Finding]) -> Iterator[None]:
+    """What is refused meanwhile is a finding."""
+    try:
+        yield
+    except ValueError as error:
+        findings.append(Finding(str(error), getattr(error, "place", None)))
+
+
+def _notes(text: str) -> Sequence[Finding]:
+    return [Finding(text, stops=False)] if text else []
+
+
+def _stage_findings(garment: bpy.types.Object, stage: SamplingStage) -> list[Finding]:
+    """What is wrong with the joints, the body, the garment's weights, and the way it is worn."""
+    findings: list[Finding] = []
+    settings = garment.wrinkles
+    for stored in settings.joints:
+        with _noting(findings):
+            stored_joint(stored, stage.rig)
+    with _noting(findings):
+        check_body(stage.body)
+    with _noting(findings):
+        worn = read_garment(garment, stage.rig, rig_from_world(settings.armature), settings.pin_group)
+        distance = bind_to_surface(worn.positions, stage.body.positions, stage.body.faces).distance
+        check_fit(garment.name, worn.positions, stage.body, distance)
+    return findings
+
+
+def _check_extremes(stage: SamplingStage, job: BakeJob) -> None:
+    """Pose the body at the end of every range.
+
+    Raises:
+        PlacedError: If it falls apart there.
+    """
+    for sample in job.plan.samples:
+        grid = job.plan.grid[sample.joint]
+        if all(i in (0, n - 1) for i, n in zip(sample.index, grid.shape, strict=True)):
+            if not np.isfinite(stage.positions(job.pose(sample))).all():
+                raise PlacedError(
+                    f"The body falls apart when joint {sample.joint} is turned to the end of its range.",
+                    Place(Part.JOINT, names=(sample.joint,)),
+                )
+
+
+def _database_note(folder: Path, garment: bpy.types.Object, job: BakeJob) -> str:
+    """What there is to say of the garment's database, which a bake would mend."""
+    if not (folder / MANIFEST).exists():
+        return f"The database '{folder}' is not baked yet."
+    try:
+        database = WrinkleDatabase.open(folder, check_hashes=True)
+        check_database(garment, database.header)
+    except ValueError as error:
+        return str(error)
+    if database.header.key != job.key:
+        return f"The database '{folder}' was baked with other settings, weights or body; it plays as it was baked."
+    return f"The database '{folder}' is complete and up to date."
+
+
+# --- taking the artist there --------------------------------------------------------------------------------------
+
+
+def show_place(context: bpy.types.Context, garment: bpy.types.Object, place: Place) -> None:
+    """Make the object active and select the vertices or bones, in the mode where they can be seen.
+
+    Raises:
+        ValueError: If what is to be shown is gone, or hidden from the view layer; one sentence.
+    """
+    settings = garment.wrinkles
+    ob = {Part.GARMENT: garment, Part.BODY: settings.body}.get(place.part, settings.armature)
+    if ob is None or ob.name not in context.view_layer.objects:
+        raise ValueError(f"The {place.part.value} is not in this view layer; show it first.")
+    if context.object is not None and context.object.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    ob.hide_set(False)
+    for other in context.selected_objects:
+        other.select_set(False)
+    ob.select_set(True)
+    context.view_layer.objects.active = ob
+    if place.part is Part.JOINT:
+        _select_bones(ob, _bones_of(settings, place.names[0]))
+        settings.active_joint = settings.joints.find(place.names[0])
+    elif place.names:
+        _select_bones(ob, place.names)
+    elif place.vertices:
+        _select_vertices(ob, place.vertices)
+
+
+def _bones_of(settings: Any, joint: str) -> Sequence[str]:
+    stored = settings.joints[joint].joint()
+    return (*stored.bones, *([stored.near] if stored.near else []))
+
+
+def _select_bones(armature: bpy.types.Object, names: Sequence[str]) -> None:
+    bpy.ops.object.mode_set(mode="POSE")
+    for bone in armature.pose.bones:
+        # Bones were selected on the armature's data until Blender 5.0.
+        holder = bone if hasattr(bone, "select") else bone.bone
+        holder.select = bone.name in names
+
+
+def _select_vertices(ob: bpy.types.Object, vertices: Sequence[int]) -> None:
+    mesh = ob.data
+    # Under another selecting mode, edit mode would drop vertices whose edges or faces are not selected.
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_mode(type="VERT")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    chosen = np.zeros(len(mesh.vertices), bool)
+    chosen[[vertex for vertex in vertices if vertex < len(chosen)]] = True
+    for elements in (mesh.edges, mesh.polygons):
+        elements.foreach_set("select", np.zeros(len(elements), bool))
+    mesh.vertices.foreach_set("select", chosen)
+    bpy.ops.object.mode_set(mode="EDIT")

@@ -1,0 +1,66 @@
+"""Step three: how many samples, of what cloth, at what price."""
+
+from __future__ import annotations
+
+import bpy
+
+from ...folder_verbs import choose_device
+from ..plan_preview import preview_plan
+from ..preferences import device_name
+from ..presets import WRINKLE_PT_fabric_presets, WRINKLE_PT_plan_presets
+from ..properties import OWN_FABRIC
+from .layout import GarmentPanel, garment_of, say, say_numbers, settings_column, translated
+
+
+class WRINKLE_PT_plan(GarmentPanel, bpy.types.Panel):
+    """The samples that a bake makes, and what they cost"""
+
+    bl_label = "Plan"
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        WRINKLE_PT_plan_presets.draw_panel_header(self.layout)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, (garment, settings) = self.layout, garment_of(context)
+        column = settings_column(layout)
+        column.prop(settings, "plan")
+        if settings.plan == "BUDGET":
+            column.prop(settings, "budget")
+        column.prop(settings, "use_symmetry")
+        preview = preview_plan(garment)
+        if preview is None:
+            say(context, layout, "Nothing to sample: switch a joint on in the list of joints.", icon="ERROR")
+            return
+        numbers = {
+            "Samples": translated("{all}, {own} to simulate").format(all=preview.samples, own=preview.simulated),
+            "Size": translated("{size:.3g} MB at most").format(size=preview.megabytes),
+            "Time": translated("about {time} on one core").format(time=preview.duration),
+        }
+        try:
+            numbers["Device"] = choose_device(device_name())
+        except ValueError as error:
+            say(context, layout, str(error), icon="ERROR")
+        say_numbers(layout, numbers)
+        if settings.use_symmetry and not settings.mirror_signs:
+            say(context, layout, "Rig, body or garment are not symmetric: both sides are simulated.", icon="INFO")
+
+
+class WRINKLE_PT_fabric(GarmentPanel, bpy.types.Panel):
+    """What the garment is made of, and how it is worn"""
+
+    bl_label = "Fabric"
+    bl_parent_id = "WRINKLE_PT_plan"
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        WRINKLE_PT_fabric_presets.draw_panel_header(self.layout)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        garment, settings = garment_of(context)
+        column = settings_column(self.layout)
+        own = ("stretch", "bending", "density", "friction") if settings.fabric == OWN_FABRIC else ()
+        for name in ("fabric", *own, "ease_girth", "ease_length"):
+            column.prop(settings, name)
+        column.prop_search(settings, "pin_group", garment, "vertex_groups")
+
+
+classes = (WRINKLE_PT_plan, WRINKLE_PT_fabric)

@@ -1,0 +1,75 @@
+"""Step nine: how good it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ...evaluation_record import evaluation_path, read_evaluation
+from .. import playback
+from .layout import GarmentPanel, garment_of, say, say_numbers, translated
+
+
+class WRINKLE_PT_report(GarmentPanel, bpy.types.Panel):
+    """How the samples came out, and how far the played garment is from a simulated one"""
+
+    bl_label = "Report"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, (garment, _) = self.layout, garment_of(context)
+        player = playback.status(garment).player
+        reports = None if player is None else getattr(player, "reports", None)
+        if player is None or reports is None:
+            say(context, layout, "Play the garment first: its samples are read then.", icon="INFO")
+            return
+        layout.label(text=player.summary, icon="MATCLOTH", translate=False)
+        residuals = [report["residual"] for report in reports.values() if "residual" in report]
+        restless = {name: report for name, report in reports.items() if not report.get("converged", True)}
+        if residuals:
+            say_numbers(layout, {"Worst Residual": f"{max(residuals):.2g}", "Not at Rest": str(len(restless))})
+        for name, report in list(restless.items())[:12]:
+            place = report.get("restless", "")
+            layout.label(text=f"{name}  {place}", icon="DOT", translate=False)
+        if len(restless) > 12:
+            layout.label(text=translated("and {count} more").format(count=len(restless) - 12))
+        layout.operator("wrinkle.plot_samples", icon="IMAGE_DATA")
+        _draw_fidelity(context, layout, player)
+
+
+def _draw_fidelity(context: bpy.types.Context, layout: bpy.types.UILayout, player: playback.Player) -> None:
+    database = player.database
+    try:
+        result = _evaluation(database.folder, database.header.key)
+    except ValueError as error:
+        say(context, layout, str(error), icon="ERROR")
+        return
+    if result is None:
+        say(context, layout, "Not evaluated yet: wrinkle evaluate FILE --keep on the command line.", icon="INFO")
+        return
+    names = {"ours": "With Wrinkles", "skinning": "Skinning Alone"}
+    numbers = {text: f"{result['rmse_mm'][name]:.2f} mm RMS" for name, text in names.items()}
+    numbers["Frames"] = str(len(result["frames"]))
+    say_numbers(layout, numbers)
+    layout.operator("wrinkle.plot_evaluation", icon="IMAGE_DATA")
+
+
+def _evaluation(folder: Path, key: str) -> Mapping[str, Any] | None:
+    """Read anew only when it was made anew, as this is drawn over and over."""
+    path = evaluation_path(folder, key)
+    try:
+        written = path.stat().st_mtime_ns
+    except OSError:
+        return None
+    return _read(folder, key, written)
+
+
+@lru_cache(maxsize=8)
+def _read(folder: Path, key: str, written: int) -> Mapping[str, Any] | None:
+    return read_evaluation(folder, key)
+
+
+classes = (WRINKLE_PT_report,)
