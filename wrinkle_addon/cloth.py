@@ -38,7 +38,7 @@ EXPELLED_DEPTH = 0.001
 
 # On its way to equilibrium a garment soon changes little: after so many linearisations ...
 YOUNG_ITERATIONS = 8
-# ... a preconditioner serves for so many.
+# ... the coarse levels of a preconditioner serve for so many.
 PRECONDITIONED = 4
 
 
@@ -335,7 +335,7 @@ class ClothSimulation:
 
         Args:
             share: Most of its step that each world takes.
-            precondition: Whether the preconditioner is made anew, else that of an earlier step serves on.
+            precondition: Whether the preconditioner is made anew, else its coarse levels of an earlier step serve on.
 
         Returns the iterations of the former and the share of its step that the latter left each world.
         """
@@ -370,11 +370,10 @@ class ClothSimulation:
             raise find_divergence(self.positions, self._gradient.numpy())
 
     def _linearise(self, *, precondition: bool = True) -> None:
-        """The linear system and, if asked for, a preconditioner for it that no compressive stress makes indefinite."""
-        if precondition:
-            self._assemble(self._nothing_kept)
-            self._system.precondition(self._positions)
-        if not precondition or self._kept.numpy().any():
+        """The linear system and a preconditioner for it, which no compressive stress makes indefinite if made anew."""
+        self._assemble(self._nothing_kept if precondition else self._kept)
+        self._system.precondition(self._positions, coarse_levels=precondition)
+        if precondition and self._kept.numpy().any():
             self._assemble(self._kept)
 
     def _assemble(self, kept: wp.array) -> None:

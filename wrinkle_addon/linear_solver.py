@@ -122,10 +122,11 @@ class BlockSystem:
             device=self._device,
         )
 
-    def precondition(self, positions: wp.array) -> None:
-        """Make the preconditioner from the blocks as they stand, which must be positive definite.
+    def precondition(self, positions: wp.array, *, coarse_levels: bool = True) -> None:
+        """Make the preconditioner from the blocks as they stand, which must be positive definite for the coarse levels.
 
-        It goes on to serve for blocks with compressive stress, which are softer.
+        It goes on to serve for blocks with compressive stress, which are softer. Left as they were, the coarse levels
+        serve for a while, too: contact comes and goes in each vertex's own block, long waves stay.
         """
         wp.launch(
             assembly.precondition_diagonal,
@@ -134,7 +135,7 @@ class BlockSystem:
             outputs=[self._diagonal, self._inverse],
             device=self._device,
         )
-        if self._correction is not None:
+        if coarse_levels and self._correction is not None:
             self._correction.assemble(positions, self.blocks, self._diagonal)
 
     def solve(self, gradient: wp.array, moving: wp.array, tolerance: float, max_iterations: int) -> int:
