@@ -24,12 +24,6 @@ def filmed_arm(database: Path) -> Arm:
     """The arm from its side, black on white, so that a picture is a silhouette."""
     scene = empty_scene()
     arm = build_arm("", database)
-    film(scene)
-    return arm
-
-
-def film(scene: bpy.types.Scene) -> None:
-    """Give a scene a camera that looks at the arm, and settings for small silhouettes."""
     scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     scene.collection.objects.link(scene.camera)
     scene.camera.data.type, scene.camera.data.ortho_scale = "ORTHO", 0.8
@@ -38,8 +32,9 @@ def film(scene: bpy.types.Scene) -> None:
     scene.render.film_transparent = True
     write_pictures(scene)
     scene.cycles.samples, scene.cycles.use_denoising = 4, False
-    scene.eevee.taa_render_samples = 8
+    scene.eevee.taa_render_samples = 4
     scene.frame_start, scene.frame_end = 1, 4
+    return arm
 
 
 def write_pictures(scene: bpy.types.Scene) -> None:

@@ -24,7 +24,10 @@ SHOTS = ROOT / "build" / "window"
 FRESH = {"BLENDER_USER_RESOURCES": f"{INSIDE}/user", "WARP_CACHE_PATH": f"{INSIDE}/kernels"}
 """Settings and kernels of somebody who has just installed Blender."""
 
-PIXEL_TESTS = ("tests/blender/test_playback_render.py", "tests/blender/test_render_scenes.py")
+PIXEL_TESTS = {
+    "Cycles and Workbench": ("-m", "not long", "tests/blender/test_playback_render.py", "tests/blender/test_render_scenes.py"),
+    "EEVEE": ("-k", "an_animation_render and EEVEE", "tests/blender/test_playback_render.py"),
+}
 
 
 def main() -> None:
@@ -40,8 +43,9 @@ def main() -> None:
     for verb in verbs(INSIDE):
         _step(root, f"wrinkle {verb[0]}", [*blender, "--background", "--command", "wrinkle", *verb])
     pixels = ["--factory-startup", "--background", "--python", f"{INSIDE}/source/tools/run_pytest.py", "--"]
-    tests = with_screen([*blender, *pixels, f"{INSIDE}/packages", *PIXEL_TESTS])
-    _step(root, "renders are right by their pixels", tests)
+    for engine, tests in PIXEL_TESTS.items():
+        command = with_screen([*blender, *pixels, f"{INSIDE}/packages", *tests])
+        _step(root, f"renders of {engine} are right by their pixels", command)
     shutil.rmtree(root / FRESH["WARP_CACHE_PATH"].strip("/"), ignore_errors=True)
     size = ["--window-geometry", "0", "0", "1280", "800"]
     script = ["--python-exit-code", "1", f"{INSIDE}/figure.blend", "--python", f"{INSIDE}/source/tests/window/drive.py"]

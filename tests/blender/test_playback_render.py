@@ -126,7 +126,7 @@ def test_motion_blur_takes_the_shapes_of_its_subframes(
     scene = bpy.context.scene
     scene.render.engine = blurring
     scene.cycles.samples = 64
-    scene.eevee.taa_render_samples, scene.eevee.motion_blur_steps = 64, 8
+    scene.eevee.taa_render_samples, scene.eevee.motion_blur_steps = 16, 4
     scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 1.0
     pose = arm.animate([{"elbow_L": [1.4]}] * 4)[0]
     shapes = [bumps.shape(pose, {"elbow_L": strength}) for strength in (0.0, 12.0)]

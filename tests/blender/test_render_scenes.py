@@ -15,7 +15,6 @@ from pictures import (
     bending,
     difference,
     expected_picture,
-    film,
     filmed_arm,
     layer_alphas,
     plain_mesh,
@@ -156,9 +155,7 @@ def test_two_scenes_show_one_garment_each_in_its_own_frame(arm: Arm, bumps: Bump
     """Blender renders any scene in the frame of the one that is open."""
     poses = bending(arm)
     here = bpy.context.scene
-    there = other_scene(here)
-    for ob in (arm.sleeve, arm.armature):
-        there.collection.objects.link(ob)
+    there = here.copy()
     for scene, frame in ((here, 2), (there, 3), (here, 4), (there, 1)):
         here.frame_current = frame
         picture = render_still(tmp_path / "picture.png", scene)
@@ -169,21 +166,15 @@ def test_two_scenes_show_one_garment_each_in_its_own_frame(arm: Arm, bumps: Bump
 def test_a_garment_in_the_background_set_of_a_scene_is_played(arm: Arm, bumps: Bumps, tmp_path: Path) -> None:
     poses = bending(arm)
     here = bpy.context.scene
-    there = other_scene(here)
+    there = here.copy()
+    for ob in (arm.sleeve, arm.armature):
+        there.collection.objects.unlink(ob)
     there.background_set = here
     for frame in (3, 2):
         here.frame_current = frame
         picture = render_still(tmp_path / "picture.png", there)
         expected = expected_picture(arm, bumps.shape(poses[frame - 1]), tmp_path / "expected.png")
         assert difference(picture, expected) < SAME
-
-
-def other_scene(here: bpy.types.Scene) -> bpy.types.Scene:
-    """A scene that is filmed the same way."""
-    there = bpy.data.scenes.new("there")
-    film(there)
-    there.render.engine = here.render.engine
-    return there
 
 
 # --- what is not seen costs nothing -------------------------------------------------------------------------------
