@@ -9,6 +9,7 @@ import bpy
 
 from ..wrinkle_addon.blender import (
     command,
+    first_start,
     flow_panel,
     flow_properties,
     ghost,
@@ -34,6 +35,7 @@ from . import (
     presets,
     remove_wrinkles,
     restore_sample,
+    self_test,
     setup_garment,
     show_influence,
     show_problem,
@@ -45,6 +47,7 @@ from . import (
 
 MODULES: Sequence[ModuleType] = (
     preferences,
+    self_test,
     flow_properties,
     sample_properties,
     properties,
@@ -70,6 +73,7 @@ MODULES: Sequence[ModuleType] = (
     plot_evaluation,
     compress_flow,
     preset_panels,
+    first_start,
     panels,
     flow_panel,
     ghost,

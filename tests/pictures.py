@@ -120,7 +120,7 @@ def layer_alphas(path: Path) -> dict[str, np.ndarray]:
     data = path.read_bytes()
     place, channels = 8, []
     while data[place]:
-        name, kind, size, start = _attribute(data, place)
+        _, kind, size, start = _attribute(data, place)
         if kind == "chlist":
             channels = _channels(data[start : start + size])
         place = start + size

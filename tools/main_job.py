@@ -40,8 +40,8 @@ def write_figure(path: Path) -> None:
     """A file with a body in a shirt that is not set up: the tests' character."""
     sys.path.insert(0, str(ROOT / "tests"))
     import bpy
-    from dolls import doll
-    from figures import build_figure
+    from dolls import doll  # pyright: ignore[reportMissingImports]
+    from figures import build_figure  # pyright: ignore[reportMissingImports]
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     build_figure(doll(31, 12))

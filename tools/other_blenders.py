@@ -32,11 +32,11 @@ def main(tests: Sequence[str]) -> None:
         venv = ROOT / f".venv-{blender}"
         build_environment(python, venv, [f"{ROOT}[analysis,test]", module])
         print(f"Testing under Blender {blender} ...", flush=True)
-        python = [str(interpreter(venv)), "-P"]
-        commands = [[*python, "-c", RUN_TESTS, "-m", "not long", *(tests or TESTS)]]
+        run = [str(interpreter(venv)), "-P"]
+        commands = [[*run, "-c", RUN_TESTS, "-m", "not long", *(tests or TESTS)]]
         if not tests:
-            commands.append([*python, str(ROOT / "tools" / "main_job.py")])
-        if any([subprocess.run(command, cwd=ROOT, check=False).returncode for command in commands]):
+            commands.append([*run, str(ROOT / "tools" / "main_job.py")])
+        if sum(subprocess.run(command, cwd=ROOT, check=False).returncode != 0 for command in commands):
             failed.append(blender)
     if failed:
         sys.exit(f"other_blenders: something failed under Blender {', '.join(failed)}")

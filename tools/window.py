@@ -1,4 +1,4 @@
-"""Try the extension as an artist has it: installed from its zip into a real Blender with a window, without the internet.
+"""Try the extension as an artist has it: from its zip, in a real Blender with a window, without the internet.
 
 Where no such Blender can be set up, that is said and nothing is tried. Screenshots lie in build/window afterwards.
 """
@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from debian_blender import Unavailable, blender_root, enter, with_screen
-from main_job import EXTENSION, ROOT, linux_archive, verbs
+from main_job import ROOT, linux_archive, verbs
 
 INSIDE = "/srv/wrinkle"
 """Where everything lies, seen from inside the root folder."""
@@ -24,9 +24,10 @@ SHOTS = ROOT / "build" / "window"
 FRESH = {"BLENDER_USER_RESOURCES": f"{INSIDE}/user", "WARP_CACHE_PATH": f"{INSIDE}/kernels"}
 """Settings and kernels of somebody who has just installed Blender."""
 
+RENDERS = "tests/blender/test_playback_render.py"
 PIXEL_TESTS = {
-    "Cycles and Workbench": ("-m", "not long", "tests/blender/test_playback_render.py", "tests/blender/test_render_scenes.py"),
-    "EEVEE": ("-k", "an_animation_render and EEVEE", "tests/blender/test_playback_render.py"),
+    "Cycles and Workbench": ("-m", "not long", RENDERS, "tests/blender/test_render_scenes.py"),
+    "EEVEE": ("-k", "an_animation_render and EEVEE", RENDERS),
 }
 
 

@@ -119,9 +119,7 @@ def test_a_render_without_the_modifier_shows_the_skinned_garment(arm: Arm, tmp_p
 
 
 @pytest.mark.parametrize("blurring", ["CYCLES", pytest.param(EEVEE, marks=pytest.mark.long)])
-def test_motion_blur_takes_the_shapes_of_its_subframes(
-    arm: Arm, bumps: Bumps, blurring: str, tmp_path: Path
-) -> None:
+def test_motion_blur_takes_the_shapes_of_its_subframes(arm: Arm, bumps: Bumps, blurring: str, tmp_path: Path) -> None:
     """With strengths keyed linearly on a held pose, a shape key keyed the same way must blur the same way."""
     scene = bpy.context.scene
     scene.render.engine = blurring

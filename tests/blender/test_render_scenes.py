@@ -1,4 +1,4 @@
-"""Renders of more than one garment: modifiers behind, other deformed objects, view layers, scenes, and what is not seen."""
+"""Renders of more than a garment: modifiers behind, other deformed objects, view layers, scenes, what is not seen."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import bpy
-import numpy as np
 import pytest
 from pictures import (
     DIFFERENT,
     SAME,
-    alpha,
     bending,
     difference,
     expected_picture,

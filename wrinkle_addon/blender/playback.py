@@ -26,6 +26,7 @@ from .armature import PoseReader, rig_scale
 from .clearance import BodyClearance
 from .coarse_layer import CoarseBinding
 from .culling import is_culled
+from .first_start import first_start
 from .matching import check_mesh, match_rig
 from .node_group import find_modifier, shows_all
 from .preferences import device_name
@@ -238,6 +239,8 @@ def play_scene(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, *, only_c
     Returns:
         One sentence for every garment that failed.
     """
+    if not first_start.is_over:
+        return []
     errors = []
     poses: dict[object, Pose] = {}
     garments = [ob for ob in _objects(scene) if ob.type == "MESH" and ob.wrinkles.enabled]
