@@ -48,7 +48,7 @@ def main() -> None:
         command = with_screen([*blender, *pixels, f"{INSIDE}/packages", *tests])
         _step(root, f"renders of {engine} are right by their pixels", command)
     shutil.rmtree(root / FRESH["WARP_CACHE_PATH"].strip("/"), ignore_errors=True)
-    size = ["--window-geometry", "0", "0", "1280", "800"]
+    size = ["--window-geometry", "0", "0", "1280", "1400"]
     script = ["--python-exit-code", "1", f"{INSIDE}/figure.blend", "--python", f"{INSIDE}/source/tests/window/drive.py"]
     try:
         _step(root, "the window is clicked through", with_screen([*blender, *size, *script, "--", f"{INSIDE}/shots"]))

@@ -99,8 +99,10 @@ first_start = FirstStart()
 
 def _tick() -> float | None:
     """Begin, then look at the process until it ends; then whatever waits for kernels is played."""
+    before = first_start.is_over, first_start.text
     first_start.poll()
-    _show()
+    if (first_start.is_over, first_start.text) != before:
+        _show()
     if not first_start.is_over:
         return TICK
     for ob in bpy.data.objects:
