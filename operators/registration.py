@@ -17,6 +17,7 @@ from ..wrinkle_addon.blender import (
     panels,
     preferences,
     properties,
+    render_lock,
     sample_properties,
 )
 from ..wrinkle_addon.blender import presets as preset_panels
@@ -74,6 +75,7 @@ MODULES: Sequence[ModuleType] = (
     compress_flow,
     preset_panels,
     first_start,
+    render_lock,
     panels,
     flow_panel,
     ghost,

@@ -23,6 +23,7 @@ from pictures import (
 )
 from small_character import Arm, Bumps, arm_weights, build_arm, tube
 from wrinkle_synthesis.wrinkle_addon.blender import playback
+from wrinkle_synthesis.wrinkle_addon.blender.render_lock import WRINKLE_PT_render_lock
 from wrinkle_synthesis.wrinkle_addon.blender.setup import bind_to_armature
 from wrinkle_synthesis.wrinkle_addon.rig import Pose
 
@@ -173,6 +174,24 @@ def test_a_garment_in_the_background_set_of_a_scene_is_played(arm: Arm, bumps: B
         picture = render_still(tmp_path / "picture.png", there)
         expected = expected_picture(arm, bumps.shape(poses[frame - 1]), tmp_path / "expected.png")
         assert difference(picture, expected) < SAME
+
+
+# --- from the window ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("engine", ["BLENDER_WORKBENCH"], indirect=True)
+def test_the_interface_is_locked_in_renders_and_the_lock_is_offered_once_it_is_off(arm: Arm) -> None:
+    scene = bpy.context.scene
+    bending(arm)
+    scene.frame_set(2)
+    assert scene.render.use_lock_interface
+    assert not WRINKLE_PT_render_lock.poll(bpy.context)
+    scene.render.use_lock_interface = False
+    scene.frame_set(3)
+    assert not scene.render.use_lock_interface, "what the artist switched off stays off"
+    assert WRINKLE_PT_render_lock.poll(bpy.context)
+    arm.sleeve.wrinkles.enabled = False
+    assert not WRINKLE_PT_render_lock.poll(bpy.context)
 
 
 # --- what is not seen costs nothing -------------------------------------------------------------------------------

@@ -30,6 +30,7 @@ from .first_start import first_start
 from .matching import check_mesh, match_rig
 from .node_group import find_modifier, shows_all
 from .preferences import device_name
+from .render_lock import lock_interface
 from .write import make_writable, rest_skinning, show_positions, show_skinned, wake_skinning
 
 if TYPE_CHECKING:
@@ -335,10 +336,7 @@ def _player(garment: bpy.types.Object, source: Source | FlowFile, known: Status)
     except Exception as error:
         known.failed = source, _sentence(error)
         raise
-    for scene in garment.users_scene:
-        # A render from the window plays on its own thread; the window must not evaluate the mesh meanwhile.
-        if not scene.render.use_lock_interface:
-            scene.render.use_lock_interface = True
+    lock_interface(garment)
     return known.player
 
 

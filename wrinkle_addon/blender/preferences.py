@@ -32,6 +32,12 @@ class WrinklePreferences(bpy.types.AddonPreferences):
         description="What plays and bakes wrinkles: auto (the first graphics card, else the processor), cpu, cuda:0",
         search=_devices,
     )
+    lock_interface: bpy.props.BoolProperty(
+        name="Lock Interface in Renders",
+        default=True,
+        description="Turn Blender's Lock Interface on in scenes with wrinkles; without it, renders from the window may "
+        "crash. Otherwise the sidebar offers it",
+    )
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
@@ -51,6 +57,7 @@ class WrinklePreferences(bpy.types.AddonPreferences):
         folder = str(cache_folder())
         row = _line(column, "Kernels", folder)
         row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = folder
+        layout.prop(self, "lock_interface")
         layout.operator("wrinkle.self_test", icon="PLAY")
         for passed, text in test_lines:
             layout.label(text=text, icon="CHECKMARK" if passed else "ERROR")
