@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3.13 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: demo test long check lint bench extension setup clean
+.PHONY: demo test long check lint bench extension window setup clean
 
 setup:
 	@$(PYTHON) tools/prepare.py
@@ -13,7 +13,7 @@ demo: setup
 test: setup
 	$(BIN)/pytest -m "not long" $(TESTS)
 
-long: setup
+long: extension
 	$(BIN)/pytest -m long
 	$(PYTHON) tools/other_blenders.py
 
@@ -29,6 +29,10 @@ bench: setup
 
 extension: setup
 	$(BIN)/python tools/extension.py
+	$(BIN)/python tools/main_job.py
+
+window: extension
+	$(BIN)/python tools/window.py
 
 clean:
 	rm -rf .venv build dist demo-out

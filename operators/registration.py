@@ -9,6 +9,7 @@ import bpy
 
 from ..wrinkle_addon.blender import (
     command,
+    first_start,
     flow_panel,
     flow_properties,
     ghost,
@@ -16,6 +17,7 @@ from ..wrinkle_addon.blender import (
     panels,
     preferences,
     properties,
+    render_lock,
     sample_properties,
 )
 from ..wrinkle_addon.blender import presets as preset_panels
@@ -34,6 +36,7 @@ from . import (
     presets,
     remove_wrinkles,
     restore_sample,
+    self_test,
     setup_garment,
     show_influence,
     show_problem,
@@ -45,6 +48,7 @@ from . import (
 
 MODULES: Sequence[ModuleType] = (
     preferences,
+    self_test,
     flow_properties,
     sample_properties,
     properties,
@@ -70,6 +74,8 @@ MODULES: Sequence[ModuleType] = (
     plot_evaluation,
     compress_flow,
     preset_panels,
+    first_start,
+    render_lock,
     panels,
     flow_panel,
     ghost,

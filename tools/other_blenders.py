@@ -1,4 +1,5 @@
-"""Run the tests under the other versions of Blender that the extension claims, each in an environment of its own.
+"""Run the tests under the other versions of Blender that the extension claims, each in an environment of its own; then
+install the zip there and do the main job with it.
 
 A version whose Python is not installed is left out, and that is said.
 """
@@ -31,11 +32,14 @@ def main(tests: Sequence[str]) -> None:
         venv = ROOT / f".venv-{blender}"
         build_environment(python, venv, [f"{ROOT}[analysis,test]", module])
         print(f"Testing under Blender {blender} ...", flush=True)
-        command = [str(interpreter(venv)), "-P", "-c", RUN_TESTS, "-m", "not long", *(tests or TESTS)]
-        if subprocess.run(command, cwd=ROOT, check=False).returncode:
+        run = [str(interpreter(venv)), "-P"]
+        commands = [[*run, "-c", RUN_TESTS, "-m", "not long", *(tests or TESTS)]]
+        if not tests:
+            commands.append([*run, str(ROOT / "tools" / "main_job.py")])
+        if sum(subprocess.run(command, cwd=ROOT, check=False).returncode != 0 for command in commands):
             failed.append(blender)
     if failed:
-        sys.exit(f"other_blenders: tests failed under Blender {', '.join(failed)}")
+        sys.exit(f"other_blenders: something failed under Blender {', '.join(failed)}")
 
 
 def has_python(python: str) -> bool:

@@ -1,7 +1,7 @@
 """The command line: `wrinkle VERB ...`, or `blender --background FILE --command wrinkle VERB ...`.
 
 Dispatches, prints and decides the exit code. Options lie in :mod:`.cli_parser`, verbs that open scenes in
-:mod:`.blender.verbs`, the others in :mod:`.folder_verbs`.
+:mod:`.blender.verbs`, the others in :mod:`.folder_verbs` and :mod:`.machine_verbs`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .cli_parser import build_parser
 
 SUCCESS, FAILURE, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-FOLDER_VERBS = ("merge", "verify", "info", "doctor")
+FOLDER_VERBS, MACHINE_VERBS = ("merge", "verify", "info"), ("doctor", "kernels")
 """Verbs that need no Blender."""
 
 
@@ -77,6 +77,10 @@ def run(options: argparse.Namespace) -> Mapping[str, Any]:
         from . import folder_verbs
 
         return getattr(folder_verbs, options.verb)(options)
+    if options.verb in MACHINE_VERBS:
+        from . import machine_verbs
+
+        return getattr(machine_verbs, options.verb)(options)
     if options.verb == "flow" and (options.action == "info" or (options.action == "verify" and options.file is None)):
         from . import flow_verbs
 

@@ -46,7 +46,10 @@ def build_parser() -> Parser:
     _add_clip_verbs(add)
     _add_folder_verbs(add)
     _add_flow_verbs(add)
-    add("doctor", "versions, devices, what works here", _device())
+    doctor = add("doctor", "versions, devices, what works here", _device())
+    doctor.add_argument("--self-test", action="store_true", help="also bake and play a small sleeve")
+    kernels = add("kernels", "compile all kernels now, which else happens on their first use", _device())
+    kernels.add_argument("--progress", choices=("text", "json"), default="text")
     return parser
 
 

@@ -1,12 +1,8 @@
-"""Verbs that need no scene: what lies in a database folder, and what works on this machine."""
+"""Verbs that need no scene: what lies in a database folder."""
 
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
-import importlib.util
-import platform
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -94,25 +90,6 @@ def info(options: argparse.Namespace) -> Mapping[str, Any]:
         )
         lines += [f"    {name}, near {place}" for name, place in result["restless"].items()]
     return {**result, "text": "\n".join(lines)}
-
-
-def doctor(options: argparse.Namespace) -> Mapping[str, Any]:
-    """Versions and devices, and what is missing for what."""
-    versions: dict[str, str | None] = {"python": platform.python_version(), "platform": platform.platform()}
-    for package in ("numpy", "warp-lang", "safetensors", "scipy", "matplotlib", "pillow", "bpy"):
-        try:
-            versions[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            versions[package] = None
-    if (bpy := sys.modules.get("bpy")) is not None:
-        versions["bpy"] = bpy.app.version_string
-    devices = [str(device) for device in wp.get_devices()]
-    chosen = choose_device(options.device)
-    lines = [f"{name:12} {version or 'missing'}" for name, version in versions.items()]
-    lines += [f"devices      {', '.join(devices)}", f"would use    {chosen}"]
-    if importlib.util.find_spec("scipy") is None or importlib.util.find_spec("matplotlib") is None:
-        lines.append("Without SciPy and Matplotlib there are no plots; everything else works.")
-    return {"versions": versions, "devices": devices, "device": chosen, "text": "\n".join(lines)}
 
 
 def choose_device(name: str) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from baked_dolls import baked, full_plan
 from dolls import doll
-from wrinkle_synthesis.wrinkle_addon import cli, folder_verbs
+from wrinkle_synthesis.wrinkle_addon import cli, folder_verbs, self_test
 from wrinkle_synthesis.wrinkle_addon.storage import ARRAY_SUFFIX
 
 SAMPLES = len(full_plan(doll(31, 12)).samples) + 1
@@ -126,3 +126,27 @@ def test_merge_says_what_is_still_to_be_baked(wrinkle, database: Path, tmp_path:
 def test_doctor_lists_devices(wrinkle):
     outcome = wrinkle("doctor", "--json")
     assert outcome.code == 0 and "cpu" in outcome.result["devices"]
+    assert Path(outcome.result["kernel_cache"]).is_dir()
+    assert set(outcome.result["hardware"]) == set(outcome.result["devices"])
+
+
+def test_doctor_tries_a_bake_and_a_play_on_request(wrinkle):
+    outcome = wrinkle("doctor", "--self-test", "--device", "cpu", "--json")
+    assert outcome.code == 0, outcome.output
+    assert [(check["name"], check["passed"]) for check in outcome.result["checks"]] == [
+        ("kernels", True),
+        ("bake", True),
+        ("play", True),
+    ]
+    assert wrinkle("doctor", "--json").result["compiled"]
+
+
+def test_doctor_says_what_does_not_work(wrinkle, monkeypatch: pytest.MonkeyPatch):
+    def fail(folder: Path, device: str) -> tuple[str, bool]:
+        raise RuntimeError("no memory")
+
+    monkeypatch.setattr(self_test, "_bake", fail)
+    outcome = wrinkle("doctor", "--self-test", "--device", "cpu")
+    assert outcome.code == 1
+    assert "bake         FAILS" in outcome.output and "RuntimeError: no memory" in outcome.output
+    assert "play" not in outcome.output

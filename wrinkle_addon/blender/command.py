@@ -14,9 +14,9 @@ classes = ()
 _handle: Any = None
 
 
-def own_command(verb: str, file: str, *arguments: str) -> list[str]:
-    """The command line that runs a verb on a file in another process, through the door that this one came through."""
-    verb_line = [verb, file, *arguments]
+def own_command(verb: str, *arguments: str) -> list[str]:
+    """The command line that runs a verb in another process, through the door that this one came through."""
+    verb_line = [verb, *arguments]
     if not Path(bpy.app.binary_path).stem.lower().startswith("blender"):
         return [sys.executable, "-m", "wrinkle_synthesis.wrinkle_addon.cli", *verb_line]
     # Named here, the add-on is there even where this Blender was started without the user's preferences.

@@ -7,7 +7,7 @@ valid; they are found by the garment object's session_uid, which outlives undo a
 from __future__ import annotations
 
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,9 +25,12 @@ from ..rig import FloatArray, Pose
 from .armature import PoseReader, rig_scale
 from .clearance import BodyClearance
 from .coarse_layer import CoarseBinding
+from .culling import is_culled
+from .first_start import first_start
 from .matching import check_mesh, match_rig
 from .node_group import find_modifier, shows_all
 from .preferences import device_name
+from .render_lock import lock_interface
 from .write import make_writable, rest_skinning, show_positions, show_skinned, wake_skinning
 
 if TYPE_CHECKING:
@@ -237,9 +240,11 @@ def play_scene(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, *, only_c
     Returns:
         One sentence for every garment that failed.
     """
+    if not first_start.is_over:
+        return []
     errors = []
     poses: dict[object, Pose] = {}
-    garments = [ob for ob in scene.objects if ob.type == "MESH" and ob.wrinkles.enabled]
+    garments = [ob for ob in _objects(scene) if ob.type == "MESH" and ob.wrinkles.enabled]
     for garment in garments:
         known = _statuses.setdefault(garment.session_uid, Status())
         try:
@@ -256,6 +261,13 @@ def play_scene(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, *, only_c
     return errors
 
 
+def _objects(scene: bpy.types.Scene | None) -> Iterator[bpy.types.Object]:
+    """Objects of a scene and of the scenes in its background."""
+    while scene is not None:
+        yield from scene.objects
+        scene = scene.background_set
+
+
 def _play_garment(
     garment: bpy.types.Object,
     known: Status,
@@ -270,7 +282,7 @@ def _play_garment(
         return
     if not garment.evaluated_get(depsgraph).is_evaluated:
         return
-    if not _is_shown(garment, depsgraph):
+    if not _is_shown(garment, depsgraph) or is_culled(garment, depsgraph):
         wake_skinning(garment)
         return
     source = garment.wrinkles.flow.source() or Source.of(garment)
@@ -288,11 +300,18 @@ def _play_garment(
 
 
 def _is_shown(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether the eye of the garment's modifier is open; a garment without one will get one."""
+    """Whether its own eye and that of its modifier are open; a garment without one will get one."""
     modifier = find_modifier(garment)
-    if modifier is None:
-        return True
-    return modifier.show_render if depsgraph.mode == "RENDER" else modifier.show_viewport
+    if depsgraph.mode == "RENDER":
+        return modifier is None or modifier.show_render
+    if modifier is not None and not modifier.show_viewport:
+        return False
+    return not garment.hide_get(view_layer=depsgraph.view_layer) or _is_needed(garment)
+
+
+def _is_needed(garment: bpy.types.Object) -> bool:
+    """Whether another object follows a garment that is hidden, by a modifier or a constraint."""
+    return any(isinstance(user, bpy.types.Object) for user in bpy.data.user_map(subset=[garment])[garment])
 
 
 def let_rest(garment: bpy.types.Object, evaluated: bpy.types.Object) -> None:
@@ -317,10 +336,7 @@ def _player(garment: bpy.types.Object, source: Source | FlowFile, known: Status)
     except Exception as error:
         known.failed = source, _sentence(error)
         raise
-    for scene in garment.users_scene:
-        # A render from the window plays on its own thread; the window must not evaluate the mesh meanwhile.
-        if not scene.render.use_lock_interface:
-            scene.render.use_lock_interface = True
+    lock_interface(garment)
     return known.player
 
 

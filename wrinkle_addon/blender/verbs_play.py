@@ -70,7 +70,11 @@ def synthesize(options: argparse.Namespace) -> Mapping[str, Any]:
         save_character(options.blend)
     whole = f"Frames {part.start} to {part.stop - 1} of" if options.part else f"{len(frames)} frames written to"
     text = [f"{whole} {options.out}{' are there' if options.part else ''}."]
-    text += [f"{name} goes {angle:.0f} degrees beyond its samples." for name, angle in synthesis.clamped_deg.items()]
+    text += [
+        f"{name} goes {angle:.0f} degrees beyond its samples."
+        for name, angle in synthesis.clamped_deg.items()
+        if angle >= 0.5
+    ]
     text += [f"{note} ({count} frames)" for note, count in synthesis.notes.items()]
     return {
         "frames": len(part),

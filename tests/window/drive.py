@@ -1,0 +1,282 @@
+"""What an artist does on the first day, with the mouse, in a real window: set up, bake, play, cancel, undo, render.
+
+Run by tools/window.py as ``blender figure.blend --python drive.py -- SHOTS``; ends Blender, with code 1 if something
+was not as it should be. Lines that begin with "window:" are shown to whoever runs it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import os
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from mouse import Hand, Steps
+
+BEGAN = time.monotonic()
+PACKAGE = "bl_ext.user_default.wrinkle_synthesis"
+SHOTS = Path(sys.argv[sys.argv.index("--") + 1])
+LONG = 300.0
+"""What anything may take on a slow machine [s]."""
+
+first_start = importlib.import_module(f"{PACKAGE}.wrinkle_addon.blender.first_start").first_start
+bake_process = importlib.import_module(f"{PACKAGE}.wrinkle_addon.blender.bake_process")
+playback = importlib.import_module(f"{PACKAGE}.wrinkle_addon.blender.playback")
+
+
+def the_first_day(hand: Hand) -> Steps:
+    yield from open_sidebar(hand)
+    yield from hand.shoot("first_start")
+    yield from wait_for(lambda: first_start.is_over, "kernels are compiled")
+    assert not first_start.problem, first_start.problem
+    say(f"kernels were compiled {time.monotonic() - BEGAN:.0f} s after Blender's start, behind a window in use")
+    yield from set_up(hand)
+    yield from bake(hand)
+    yield from play(hand)
+    yield from cancel_a_bake(hand)
+    yield from undo(hand)
+    yield from render(hand)
+    yield from preferences(hand)
+
+
+def open_sidebar(hand: Hand) -> Steps:
+    """The 3D view as large as it goes, with our tab in front."""
+    with bpy.context.temp_override(window=hand.window, area=hand.area):
+        hand.area.spaces.active.show_region_ui = True
+    yield 0.8
+    hand.region("UI").active_panel_category = "Wrinkle"
+    with bpy.context.temp_override(window=hand.window, area=hand.area, region=hand.region("WINDOW")):
+        bpy.ops.view3d.view_axis(type="FRONT")
+        bpy.ops.view3d.view_all()
+    yield 0.8
+
+
+def set_up(hand: Hand) -> Steps:
+    """Body, then garment; then the button, and its dialog as it comes up."""
+    shirt, body = bpy.data.objects["shirt"], bpy.data.objects["body"]
+    for ob in bpy.data.objects:
+        ob.select_set(ob in (shirt, body))
+    bpy.context.view_layer.objects.active = shirt
+    yield from hand.shoot("selected")
+    # Fine folds would take minutes to bake.
+    bpy.context.window_manager.operator_properties_last("wrinkle.setup_garment").subdivide = 0
+    yield from hand.click("wrinkle.setup_garment")
+    yield from hand.shoot("setup_dialog")
+    middle = hand.window.width // 2, hand.window.height // 2
+    hand.point(*middle)
+    yield from hand.confirm()
+    yield from wait_for(lambda: garment() is not None, "the garment is set up")
+    settings = garment().wrinkles
+    assert len(settings.joints) >= 4 and settings.body == body
+    yield from hand.shoot("set_up")
+
+
+def garment() -> bpy.types.Object | None:
+    """The garment that was set up, if one is."""
+    return next((ob for ob in bpy.data.objects if ob.type == "MESH" and len(ob.wrinkles.joints)), None)
+
+
+def bake(hand: Hand) -> Steps:
+    """A quick bake, in the background."""
+    settings = garment().wrinkles
+    settings.plan, settings.budget = "BUDGET", 2
+    for joint in settings.joints:
+        joint.enabled = joint.name == "elbow_L"
+    yield from hand.click("wrinkle.bake")
+    yield from wait_for(lambda: bake_process.running, "the bake begins")
+    yield from wait_for(lambda: all(each.progress.done for each in bake_process.running.values()), "a sample is baked")
+    yield from hand.shoot("baking")
+    yield from wait_for(lambda: not bake_process.running, "the bake ends")
+    assert settings.enabled
+    say(f"the first wrinkled frame came {time.monotonic() - BEGAN:.0f} s after Blender's start, quick bake included")
+    yield from hand.shoot("baked")
+
+
+def play(hand: Hand) -> Steps:
+    """The space bar plays the animation, and every frame is played here."""
+    scene, armature = bpy.context.scene, garment().wrinkles.armature
+    scene.frame_start, scene.frame_end = 1, 20
+    bone = armature.pose.bones["forearm_L"]
+    bone.rotation_mode = "XYZ"
+    for frame, angle in ((1, 0.0), (20, -80.0)):
+        bone.rotation_euler = (0.0, 0.0, math.radians(angle))
+        bone.keyframe_insert("rotation_euler", frame=frame)
+    scene.frame_set(14)
+    yield 1.0
+    assert wrinkles() > 1e-3 and not playback.status(garment()).error, playback.status(garment()).error
+    yield from hand.shoot("played")
+    frames: list[int] = []
+    bpy.app.handlers.frame_change_post.append(lambda scene, depsgraph: frames.append(scene.frame_current))
+    yield from hand.press("space")
+    yield 3.0
+    yield from hand.press("space")
+    assert len(frames) > 3, frames
+    say(f"playing drew {len(frames)} frames in 3 s, without a graphics card")
+
+
+def wrinkles() -> float:
+    """How far the garment that is shown is from its skinned shape, at most [m]."""
+    ob = garment()
+    shown = positions(ob)
+    modifier = ob.modifiers["Wrinkles"]
+    modifier.show_viewport = False
+    bpy.context.view_layer.update()
+    skinned = positions(ob)
+    modifier.show_viewport = True
+    bpy.context.view_layer.update()
+    return float(np.abs(shown - skinned).max())
+
+
+def positions(ob: bpy.types.Object) -> np.ndarray:
+    mesh = ob.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    values = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.attributes["position"].data.foreach_get("vector", values)
+    return values
+
+
+def cancel_a_bake(hand: Hand) -> Steps:
+    """Stop a bake by its button: its process ends, finished samples stay."""
+    settings = garment().wrinkles
+    settings.database = settings.database.replace(".wrinkles", "_other.wrinkles")
+    settings.budget = 60
+    for joint in settings.joints:
+        joint.enabled = True
+    yield from hand.click("wrinkle.bake")
+    yield from wait_for(lambda: bake_process.running, "the second bake begins")
+    (process,) = bake_process.running.values()
+    yield from wait_for(lambda: process.progress.done, "one of its samples is baked")
+    yield from hand.click("wrinkle.cancel_bake")
+    yield from wait_for(lambda: process._process.poll() is not None, "its process ends")
+    assert not bake_process.running
+    assert list(Path(bpy.path.abspath(settings.database)).glob("rest-*"))
+    yield from hand.shoot("cancelled")
+    settings.database = settings.database.replace("_other", "")
+    yield 1.0
+    assert wrinkles() > 1e-3
+
+
+def undo(hand: Hand) -> Steps:
+    """Undo what was done by hand, and do it again; the garment goes on wrinkling."""
+    bpy.ops.ed.undo_push(message="before")
+    garment().wrinkles.armature.location.x = 0.5
+    bpy.ops.ed.undo_push(message="Move")
+    yield from hand.press("ctrl+z")
+    yield 1.0
+    assert garment().wrinkles.armature.location.x == 0.0
+    assert wrinkles() > 1e-3 and not playback.status(garment()).error
+    yield from hand.shoot("undone")
+    yield from hand.press("ctrl+shift+z")
+    yield 1.0
+    assert garment().wrinkles.armature.location.x == 0.5
+    yield from hand.press("ctrl+z")
+    assert garment().wrinkles.armature.location.x == 0.0
+
+
+def render(hand: Hand) -> Steps:
+    """Render from the window, the interface locked; each picture is that of its frame."""
+    scene = bpy.context.scene
+    assert scene.render.use_lock_interface
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(camera)
+    scene.camera, camera.data.type, camera.data.ortho_scale = camera, "ORTHO", 2.0
+    camera.location, camera.rotation_euler = (0.0, -3.0, 1.4), (math.pi / 2, 0.0, 0.0)
+    scene.render.engine = "BLENDER_WORKBENCH"
+    scene.render.resolution_x, scene.render.resolution_y = 96, 96
+    scene.render.filepath = str(SHOTS / "render_")
+    scene.frame_start, scene.frame_end = 8, 11
+    bpy.context.preferences.view.render_display_type = "NONE"
+    with bpy.context.temp_override(window=hand.window, area=hand.area):
+        bpy.ops.render.render("INVOKE_DEFAULT", animation=True)
+    yield 0.5
+    yield from wait_for(lambda: not bpy.app.is_job_running("RENDER"), "the render from the window ends")
+    yield 1.0
+    for frame in (9, 11):
+        scene.frame_set(frame)
+        from_window = pixels(SHOTS / f"render_{frame:04}.png")
+        scene.render.filepath = str(SHOTS / "still.png")
+        bpy.ops.render.render(write_still=True)
+        np.testing.assert_array_equal(from_window, pixels(SHOTS / "still.png"))
+    for picture in (*SHOTS.glob("render_*"), SHOTS / "still.png"):
+        picture.unlink()
+
+
+def pixels(path: Path) -> np.ndarray:
+    image = bpy.data.images.load(str(path))
+    values = np.array(image.pixels)
+    bpy.data.images.remove(image)
+    return values
+
+
+def preferences(hand: Hand) -> Steps:
+    """The page of the add-on, after its self-test."""
+    assert bpy.ops.wrinkle.self_test() == {"FINISHED"}
+    bpy.context.preferences.active_section = "ADDONS"
+    bpy.context.window_manager.addon_search = "Wrinkle"
+    hand.area.type = "PREFERENCES"
+    bpy.ops.preferences.addon_expand(module=PACKAGE)
+    yield 1.0
+    yield from hand.shoot("preferences")
+
+
+def wait_for(condition: Callable[[], object], what: str) -> Steps:
+    until = time.monotonic() + LONG
+    while not condition():
+        assert time.monotonic() < until, f"Not within {LONG:.0f} s: {what}."
+        yield 0.1
+
+
+def say(text: str) -> None:
+    print(f"window: {text}", flush=True)
+
+
+def tick(steps: Steps, hand: Hand) -> float:
+    """Go on to the next wait, or leave Blender."""
+    code = 0
+    try:
+        return next(steps)
+    except StopIteration:
+        pass
+    except BaseException:
+        traceback.print_exc()
+        for _ in hand.shoot("failed"):
+            pass
+        code = 1
+    sys.stdout.flush()
+    sys.stderr.flush()
+    first_start.end()
+    os._exit(code)
+
+
+def open_panels(labels: tuple[str, ...]) -> None:
+    """Let panels start open; Blender offers no other hand to it than the mouse's."""
+    package = sys.modules[PACKAGE]
+    package.unregister()
+    first_start.__init__()
+    pending = [bpy.types.Panel]
+    while pending:
+        panel = pending.pop()
+        pending += panel.__subclasses__()
+        if panel.__module__.startswith(PACKAGE) and getattr(panel, "bl_label", "") in labels:
+            panel.bl_options = set(getattr(panel, "bl_options", ())) - {"DEFAULT_CLOSED"}
+    package.register()
+
+
+def begin() -> None:
+    bpy.context.preferences.view.show_splash = False
+    hand = Hand(SHOTS)
+    steps = the_first_day(hand)
+    bpy.app.timers.register(lambda: tick(steps, hand), first_interval=0.0)
+
+
+bpy.context.preferences.view.show_splash = False
+open_panels(("Joints", "Plan", "Bake"))
+bpy.app.timers.register(begin, first_interval=2.0)
