@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3.13 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: demo test long check lint bench extension setup clean
+.PHONY: demo test long check lint bench extension docs setup clean
 
 setup:
 	@$(PYTHON) tools/prepare.py
@@ -30,5 +30,8 @@ bench: setup
 extension: setup
 	$(BIN)/python tools/extension.py
 
+docs:
+	@$(PYTHON) tools/docs.py
+
 clean:
-	rm -rf .venv build dist demo-out
+	rm -rf .venv .venv-docs build dist demo-out
