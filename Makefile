@@ -2,7 +2,7 @@
 PYTHON ?= $(shell command -v python3.11 || command -v python3.13 || command -v python3)
 BIN := .venv/bin
 
-.PHONY: demo test long check lint bench extension docs setup clean
+.PHONY: demo test long check lint bench extension setup clean
 
 setup:
 	@$(PYTHON) tools/prepare.py
@@ -30,6 +30,7 @@ bench: setup
 extension: setup
 	$(BIN)/python tools/extension.py
 
+.PHONY: docs
 docs:
 	@$(PYTHON) tools/docs.py
 
