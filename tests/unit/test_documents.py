@@ -1,4 +1,4 @@
-"""The documents tell what there is: every command parses, every verb is told of, every message and name is the source's."""
+"""The documents tell what there is: commands parse, verbs are told of, messages and names are the source's."""
 
 from __future__ import annotations
 
