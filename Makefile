@@ -34,5 +34,9 @@ extension: setup
 window: extension
 	$(BIN)/python tools/window.py
 
+.PHONY: docs
+docs:
+	@$(PYTHON) tools/docs.py
+
 clean:
-	rm -rf .venv build dist demo-out
+	rm -rf .venv .venv-docs build dist demo-out

@@ -30,7 +30,7 @@ def main(tests: Sequence[str]) -> None:
             print(f"Blender {blender} is left out: its module needs {python}, which is not installed here.", flush=True)
             continue
         venv = ROOT / f".venv-{blender}"
-        build_environment(python, venv, [f"{ROOT}[analysis,test]", module])
+        build_environment(python, venv, ["--editable", f"{ROOT}[analysis,test]", module])
         print(f"Testing under Blender {blender} ...", flush=True)
         run = [str(interpreter(venv)), "-P"]
         commands = [[*run, "-c", RUN_TESTS, "-m", "not long", *(tests or TESTS)]]

@@ -41,11 +41,11 @@ def main() -> None:
     extras = sys.argv[1] if len(sys.argv) > 1 else "analysis,blender,test"
     python = find_python()
     install_system_libraries()
-    build_environment(python, ROOT / ".venv", [f"{ROOT}[{extras}]"])
+    build_environment(python, ROOT / ".venv", ["--editable", f"{ROOT}[{extras}]"])
 
 
 def build_environment(python: str, venv: Path, requirements: list[str]) -> None:
-    """A virtual environment with this checkout, which comes first and stays editable, and what else is required."""
+    """A virtual environment with what is required, in pip's words."""
     stamp = venv / ".ready"
     wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + f"{python}{requirements}".encode()).hexdigest()
     if stamp.exists() and stamp.read_text() == wanted:
@@ -55,7 +55,7 @@ def build_environment(python: str, venv: Path, requirements: list[str]) -> None:
     make_environment(python, venv)
     pip = [str(interpreter(venv)), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     run([*pip, "--upgrade", "pip", "setuptools>=77", "wheel"])
-    run([*pip, "--no-build-isolation", "--editable", *requirements])
+    run([*pip, "--no-build-isolation", *requirements])
     stamp.write_text(wanted)
 
 

@@ -7,7 +7,7 @@
 
 KEY hashes everything a sample depends on, so a file that is present and valid is done, whoever wrote it. A sample
 s_J(a) is stored as Q^T (s - x): its distance from the settled rest garment carried by the skin to the sample's pose,
-in the frame that the skin turned with it (no paper's form; smaller, and free of seams, see docs/database.md).
+in the frame that the skin turned with it (no paper's form; smaller, and free of seams; docs/database_format.md).
 """
 
 from __future__ import annotations
