@@ -89,13 +89,15 @@ class SplitLaunch:
 
     def __call__(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
         """Run the kernel over all blocks; ``inputs`` leave out the first block."""
-        run: list[Callable[[], object]] = [
-            lambda part=part: wp.launch(
-                kernel, dim=part[1], inputs=[part[0], *inputs], outputs=outputs, device=self._device
+        self.run(
+            lambda first, count: wp.launch(
+                kernel, dim=count, inputs=[first, *inputs], outputs=outputs, device=self._device
             )
-            for part in self._parts
-        ]
-        waiting = [self._pool.submit(task) for task in run[1:]] if self._pool else []
-        run[0]()
+        )
+
+    def run(self, act: Callable[[int, int], object]) -> None:
+        """Run an act on the first block and the number of blocks of every part."""
+        waiting = [self._pool.submit(act, *part) for part in self._parts[1:]] if self._pool else []
+        act(*self._parts[0])
         for task in waiting:
             task.result()
