@@ -78,11 +78,17 @@ class SplitLaunch:
     """Launches a kernel over blocks of vertices whose first argument is the first block of its part.
 
     Warp runs a launch on one thread of a CPU but releases Python's lock, so parts run on several threads.
+
+    Args:
+        vertex_count: As many vertices as there is work for.
+        device: Warp device.
+        block_size: Vertices of a block.
+        block_count: Blocks, if they are not of vertices.
     """
 
-    def __init__(self, vertex_count: int, device: wp.Device, block_size: int = 1):
+    def __init__(self, vertex_count: int, device: wp.Device, block_size: int = 1, block_count: int | None = None):
         threads = max(1, min(cpu_count() or 1, vertex_count // LEAST_SPLIT)) if device.is_cpu else 1
-        edges = np.linspace(0, -(-vertex_count // block_size), threads + 1).astype(int)
+        edges = np.linspace(0, block_count or -(-vertex_count // block_size), threads + 1).astype(int)
         self._parts = [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
         self._device = device
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
