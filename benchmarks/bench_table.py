@@ -247,6 +247,7 @@ def main() -> None:
     stopwatch = Stopwatch()
     stopwatch.watch(HANDLING, playback, "play_scene")
     stopwatch.watch(SYNTHESIS, OffsetEvaluator, "evaluate")
+    stopwatch.watch(SYNTHESIS, OffsetEvaluator, "evaluate_apart")
     stopwatch.watch(TRANSFER, AlignedWrinkles, "evaluate")
     stopwatch.watch(CLEARANCE, clearance.BodyClearance, "read")
     stopwatch.watch(CLEARANCE, clearance.BodyClearance, "clear")
