@@ -25,14 +25,15 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-GARMENTS = ("shirt", "tshirt", "trousers")
+GARMENTS = ("shirt", "tshirt", "trousers", "cropped")
 UP = np.array([0.0, 0.0, 1.0])
 
 # Radii of the balls that span hollows [m].
 TORSO_BALL, YOKE_BALL, ARM_BALL, LEG_BALL = 0.35, 0.05, 0.1, 0.3
 # A sleeve is this share longer than the arm, so that it can slide and fold; a short one covers this share of the upper
-# arm. A hem lies this far below the hip joint and a trouser leg ends this far above the ankle [m].
-SLEEVE_SURPLUS, SHORT_SLEEVE, HEM_DROP, ANKLE_GAP = 0.06, 0.62, 0.03, 0.03
+# arm. A hem lies this far below the hip joint and a trouser leg ends this far above the ankle [m], a cropped one after
+# this share of the way from the knee.
+SLEEVE_SURPLUS, SHORT_SLEEVE, HEM_DROP, ANKLE_GAP, CROPPED_LEG = 0.06, 0.62, 0.03, 0.03, 0.35
 # A neckline is cut by a ball, as any plane would graze some shoulders: its centre lies this far in front of and above
 # the neck's joint [m], its radius is this share of the shoulder joint's distance from the middle.
 NECK_BALL_OFFSET, NECK_BALL_SHARE = np.array([0.0, -0.05, 0.075]), 0.63
@@ -85,8 +86,8 @@ def make_garment(character: Character, name: str = "shirt", vertex_count: int = 
     """
     if name not in GARMENTS:
         raise ValueError(f"The demo has the garments {', '.join(GARMENTS)}, not {name!r}.")
-    if name == "trousers":
-        return Garment(name, *cut(*_trousers(character), vertex_count))
+    if name in ("trousers", "cropped"):
+        return Garment(name, *cut(*_trousers(character, cropped=name == "cropped"), vertex_count))
     return Garment(name, *cut(*_shirt(character, long_sleeves=name == "shirt"), vertex_count))
 
 
@@ -124,7 +125,7 @@ def _shirt(character: Character, long_sleeves: bool) -> tuple[list[Form], list[O
     return forms, [PlaneCut((0,), hem, -UP), neckline, cuff]
 
 
-def _trousers(character: Character) -> tuple[list[Form], list[Opening]]:
+def _trousers(character: Character, cropped: bool) -> tuple[list[Form], list[Opening]]:
     marks, figure = character.landmarks, _Figure.of(character)
     hip, knee, ankle = (marks[name][2] for name in ("l-upper-leg", "l-knee", "l-ankle"))
     waist = 0.5 * (marks["spine-4"] + marks["spine-3"])
@@ -147,7 +148,8 @@ def _trousers(character: Character) -> tuple[list[Form], list[Opening]]:
             paired=True,
         ),
     ]
-    return forms, [PlaneCut((0,), waist, UP), PlaneCut((1,), np.array([0.0, 0.0, ankle + ANKLE_GAP]), -UP)]
+    end = knee + CROPPED_LEG * (ankle - knee) if cropped else ankle + ANKLE_GAP
+    return forms, [PlaneCut((0,), waist, UP), PlaneCut((1,), np.array([0.0, 0.0, end]), -UP)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ MATERIALS = {
     "shirt": ((0.075, 0.17, 0.33), 0.8),
     "tshirt": ((0.45, 0.43, 0.40), 0.8),
     "trousers": ((0.055, 0.06, 0.08), 0.75),
+    "cropped": ((0.055, 0.06, 0.08), 0.75),
 }
 # Area lights: direction from the character, size as a share of the distance, power [W] at 1 m.
 LIGHTS = {

@@ -37,11 +37,11 @@ class Offsets:
 
 @wp.struct
 class Sums:
-    """What the joints' offsets have come to so far, on every vertex; see :func:`join_offsets`."""
+    """What the joints' offsets have come to so far in every mesh, on every vertex; see :func:`join_offsets`."""
 
-    total: wp.array[wp.vec3]
-    squares: wp.array[wp.vec3]
-    mixed: wp.array[wp.vec3]
+    total: wp.array2d[wp.vec3]
+    squares: wp.array2d[wp.vec3]
+    mixed: wp.array2d[wp.vec3]
 
 
 @wp.func
@@ -93,10 +93,11 @@ def add_joint(
     start: Corners,
     weight: CornerWeights,
     strength: wp.float32,
+    mesh: wp.int32,
     # outputs
     sums: Sums,
 ):
-    """Interpolate a joint's offsets multilinearly on every vertex of a block, and add them to the sums."""
+    """Interpolate a joint's offsets multilinearly on every vertex of a block, and add them to a mesh's sums."""
     if start[0] < 0:
         return
     for entry in range(samples.entry_start[joint, block], samples.entry_start[joint, block + 1]):
@@ -107,9 +108,9 @@ def add_joint(
                 offset += weight[corner] * samples.offsets[start[corner] + entry]
         offset = (strength * samples.entry_window[entry]) * offset
         vertex = samples.entry_vertex[entry]
-        sums.total[vertex] = sums.total[vertex] + offset
-        sums.squares[vertex] = sums.squares[vertex] + wp.cw_mul(offset, offset)
-        sums.mixed[vertex] = sums.mixed[vertex] + mixed_products(offset)
+        sums.total[mesh, vertex] = sums.total[mesh, vertex] + offset
+        sums.squares[mesh, vertex] = sums.squares[mesh, vertex] + wp.cw_mul(offset, offset)
+        sums.mixed[mesh, vertex] = sums.mixed[mesh, vertex] + mixed_products(offset)
 
 
 @wp.kernel
@@ -122,12 +123,13 @@ def blend_offsets(
     corner_start: wp.array[Corners],
     corner_weight: wp.array[CornerWeights],
     strength: wp.array[wp.float32],
+    mesh_of_joint: wp.array[wp.int32],
     placement: wp.array[wp.vec4],
     # outputs
     sums: Sums,
-    positions: wp.array[wp.vec3],
+    positions: wp.array2d[wp.vec3],
 ):
-    """p(v) = x(v) + Q(v) d(v), d joined from strength_J phi_J(v) delta_J(v, a_J) of all joints [m].
+    """p(v) = x(v) + Q(v) d(v), d joined from strength_J phi_J(v) delta_J(v, a_J) of all joints of a mesh [m].
 
     Blocks of vertices from ``first`` on; each thread of a split launch has its own part. Joint by joint a block is
     read in long runs, which a CPU takes at several times the speed of vertex by vertex; on a GPU blocks are single
@@ -136,22 +138,27 @@ def blend_offsets(
     Args:
         corner_start: Where each corner's sample begins, -1 past the last corner in use, shape [joint_count].
         corner_weight: Weights of the corners; the rest sample's offset is zero and left out.
+        mesh_of_joint: Row of ``positions``, shape [mesh_count, vertex_count], that each joint counts in.
         placement: Three rows of the matrix that takes rig space to the space asked for.
     """
     block = first + wp.tid()
     begin = block * samples.block_size
-    end = wp.min(begin + samples.block_size, positions.shape[0])
-    for vertex in range(begin, end):
-        sums.total[vertex] = wp.vec3()
-        sums.squares[vertex] = wp.vec3()
-        sums.mixed[vertex] = wp.vec3()
+    end = wp.min(begin + samples.block_size, positions.shape[1])
+    for mesh in range(positions.shape[0]):
+        for vertex in range(begin, end):
+            sums.total[mesh, vertex] = wp.vec3()
+            sums.squares[mesh, vertex] = wp.vec3()
+            sums.mixed[mesh, vertex] = wp.vec3()
     for joint in range(corner_start.shape[0]):
         if corner_start[joint][0] >= 0 and strength[joint] != 0.0:
-            add_joint(samples, block, joint, corner_start[joint], corner_weight[joint], strength[joint], sums)
+            mesh = mesh_of_joint[joint]
+            add_joint(samples, block, joint, corner_start[joint], corner_weight[joint], strength[joint], mesh, sums)
     for vertex in range(begin, end):
-        offset = join_offsets(sums.total[vertex], sums.squares[vertex], sums.mixed[vertex])
-        d = wp.quat_rotate(skinned_turn(skin, turns, vertex), offset)
-        positions[vertex] = transform(placement, 0, skinned_position(skin, matrices, vertex) + d)
+        skinned = skinned_position(skin, matrices, vertex)
+        turn = skinned_turn(skin, turns, vertex)
+        for mesh in range(positions.shape[0]):
+            offset = join_offsets(sums.total[mesh, vertex], sums.squares[mesh, vertex], sums.mixed[mesh, vertex])
+            positions[mesh, vertex] = transform(placement, 0, skinned + wp.quat_rotate(turn, offset))
 
 
 @wp.struct

@@ -5,7 +5,7 @@ Cheaper than a search of the whole surface, and a point keeps to its own side of
 
 import warp as wp
 
-from .cloth.body_surface import closest_point_on_triangle, plane_weights
+from .cloth.body_surface import closest_point_on_triangle, farthest_corner, smooth_step
 
 wp.set_module_options({"enable_backward": False})
 
@@ -78,12 +78,10 @@ def closest_on_face(surface: PosedSurface, p: wp.vec3, face: wp.int32):
 
 
 @wp.func
-def height_over_plane(surface: PosedSurface, face: wp.int32, p: wp.vec3) -> wp.float32:
-    """Height of p over the plane of a triangle."""
-    a = surface.points[surface.faces[face, 0]]
-    b = surface.points[surface.faces[face, 1]] - a
-    c = surface.points[surface.faces[face, 2]] - a
-    return wp.dot(p - a, wp.normalize(wp.cross(b, c)))
+def height_over_corner(surface: PosedSurface, face: wp.int32, p: wp.vec3) -> wp.float32:
+    """Height of p over the plane that touches the surface at a triangle's first corner."""
+    corner = surface.faces[face, 0]
+    return wp.dot(p - surface.points[corner], surface.normals[corner])
 
 
 @wp.func
@@ -114,8 +112,8 @@ def walk_downhill(surface: PosedSurface, p: wp.vec3, start: wp.int32):
 def walk_smooth(surface: PosedSurface, p: wp.vec3, start: wp.int32, place: wp.vec3, tolerance: wp.float32):
     """Where the surface's interpolated normal points at p: triangle, height, unit normal; -1 if the walk finds no end.
 
-    Phong projection, as :func:`.cloth.body_surface.smooth_foot` does it for the solver. Unlike the closest point it
-    moves on steadily over hollows.
+    The walk of :func:`.cloth.body_surface.smooth_foot`, in single precision, in any unit, and as near as is needed
+    here. Unlike the closest point it moves on steadily over hollows.
     """
     face = start
     w = place
@@ -126,23 +124,18 @@ def walk_smooth(surface: PosedSurface, p: wp.vec3, start: wp.int32, place: wp.ve
         na = surface.normals[surface.faces[face, 0]]
         nb = surface.normals[surface.faces[face, 1]]
         nc = surface.normals[surface.faces[face, 2]]
-        # The triangle raised along its normals to where p should be, as seen from p.
-        a = surface.points[surface.faces[face, 0]] - p + height * na
-        b = surface.points[surface.faces[face, 1]] - p + height * nb
-        c = surface.points[surface.faces[face, 2]] - p + height * nc
-        w = plane_weights(wp.vec3(), a, b, c)
-        normal = w[0] * na + w[1] * nb + w[2] * nc
-        facing = wp.cross(b - a, c - a)
-        rise = -wp.dot(a, facing) / wp.dot(normal, facing)
+        a = surface.points[surface.faces[face, 0]] - p
+        b = surface.points[surface.faces[face, 1]] - p
+        c = surface.points[surface.faces[face, 2]] - p
+        w, normal, rise = smooth_step(a, b, c, na, nb, nc, height)
         height += rise
-        least = wp.min(w)
-        if least >= -1.0e-5:
+        if wp.min(w) >= -1.0e-5:
             if wp.abs(rise) < tolerance:
                 found = face
                 break
         elif wp.abs(rise) < 10.0 * tolerance:
-            # Across the edge that p lies farthest beyond; only once the height is about right.
-            face = surface.beside[face, wp.where(w[0] == least, 0, wp.where(w[1] == least, 1, 2))]
+            # Across the edge; only once the height is about right.
+            face = surface.beside[face, farthest_corner(w)]
             if face < 0:
                 break
     size = wp.length(normal)

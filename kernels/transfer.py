@@ -16,6 +16,7 @@ Columns = wp.types.vector(length=int(COLUMNS), dtype=wp.float32)
 
 @wp.kernel
 def place_on_coarse(
+    first: wp.int32,
     coarse: wp.array[wp.vec3],
     corners: wp.array2d[wp.int32],
     places: wp.array[wp.vec3],
@@ -25,8 +26,9 @@ def place_on_coarse(
     """Where each fine vertex lies if it keeps its place on its coarse triangle [m].
 
     A place is two coordinates along the triangle's edges from its first corner, and the height over it [m].
+    Vertices from ``first`` on; each thread of a split launch has its own part, here and below.
     """
-    u = wp.tid()
+    u = first + wp.tid()
     a = coarse[corners[u, 0]]
     b = coarse[corners[u, 1]] - a
     c = coarse[corners[u, 2]] - a
@@ -36,6 +38,7 @@ def place_on_coarse(
 
 @wp.kernel
 def downsample_offsets(
+    first: wp.int32,
     coarse: wp.array[wp.vec3],
     carried: wp.array[wp.vec3],
     meshes: wp.array2d[wp.vec3],
@@ -53,15 +56,16 @@ def downsample_offsets(
     published the offset is from the fine vertices to v itself, which is not zero where the two meshes coincide; here
     it is to where each of them lies on the coarse mesh. ``strength`` is the share of the way that is gone.
     """
-    mesh, v = wp.tid()
-    total = wp.vec3()
-    for k in range(start[v], start[v + 1]):
-        u = members[k]
-        target = carried[u]
-        if as_published:
-            target = coarse[v]
-        total += weights[k] * (target - meshes[mesh, u])
-    offsets[mesh, v] = strength * total
+    v = first + wp.tid()
+    for mesh in range(meshes.shape[0]):
+        total = wp.vec3()
+        for k in range(start[v], start[v + 1]):
+            u = members[k]
+            target = carried[u]
+            if as_published:
+                target = coarse[v]
+            total += weights[k] * (target - meshes[mesh, u])
+        offsets[mesh, v] = strength * total
 
 
 @wp.kernel
@@ -76,8 +80,7 @@ def upsample_offsets(
 ):
     """Move every fine vertex by the offsets of the coarse vertices around it [m] (eq 6).
 
-    ``weights`` are a_uv after Laplacian smoothing over the fine mesh. Vertices from ``first`` on; each thread of a
-    split launch has its own part.
+    ``weights`` are a_uv after Laplacian smoothing over the fine mesh.
     """
     u = first + wp.tid()
     for mesh in range(meshes.shape[0]):
@@ -122,12 +125,13 @@ def blend_meshes(
 
 @wp.kernel
 def join_meshes(
+    first: wp.int32,
     meshes: wp.array2d[wp.vec3],
     # outputs
     positions: wp.array[wp.vec3],
 ):
     """The first mesh with the other meshes' offsets from it joined, as joints' offsets over skinning are [m]."""
-    u = wp.tid()
+    u = first + wp.tid()
     total = wp.vec3()
     squares = wp.vec3()
     mixed = wp.vec3()

@@ -172,3 +172,8 @@ def inclined(share: float, friction: float = 0.3) -> tuple[Array, float]:
     """Gravity as on a slope whose tangent is this share of the coefficient of friction, and the slope's angle."""
     angle = float(np.arctan(share * friction))
     return STANDARD_GRAVITY * np.array([np.sin(angle), 0.0, -np.cos(angle)]), angle
+
+
+def turned(positions, angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return positions @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])

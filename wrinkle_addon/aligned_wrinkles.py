@@ -45,7 +45,6 @@ class AlignedWrinkles:
         self._transfer = DetailTransfer(match, positions, faces, device=str(evaluator.device))
         count = 1 + len(self.groups) if len(self.groups) > 1 else 0
         self._meshes = wp.zeros((count, len(positions)), dtype=wp.vec3, device=evaluator.device)
-        self._views = [self._meshes[k] for k in range(count)]
 
     def evaluate(
         self,
@@ -66,12 +65,10 @@ class AlignedWrinkles:
             placement: Affine matrix from rig space [m] to the space asked for, shape [4, 4]; rig space if left out.
             follow: How much of the coarse layer's motion the garment takes on, from 0 to 1.
         """
-        if not self._views:
+        if not len(self._meshes):
             self._evaluator.evaluate(pose, out, strengths, placement)
             self._transfer.align(coarse, out, follow)
             return
-        for mesh, group in zip(self._views, ((), *self.groups), strict=True):
-            own = {name: strength if name in group else 0.0 for name, strength in strengths.items()}
-            self._evaluator.evaluate(pose, mesh, own, placement)
+        self._evaluator.evaluate_apart(pose, self.groups, self._meshes, strengths, placement)
         self._transfer.align_all(coarse, self._meshes, follow)
         self._transfer.join(self._meshes, out)

@@ -22,8 +22,7 @@ Joints that are close to each other leave no room to blend their meshes in (W86)
 ``transfer_groups`` puts them apart; each group's mesh is synthesised alone, aligned alone, and then they meet:
 
     groups = transfer_groups(names, close_joints(regions, rest, faces))
-    for k, group in enumerate(((), *groups)):   # mesh 0 is the skinned garment: no joint has strength
-        evaluator.evaluate(pose, meshes[k], {name: float(name in group) for name in names})
+    evaluator.evaluate_apart(pose, groups, meshes)      # mesh 0 is the skinned garment, of no joint
     transfer.align_all(coarse, meshes)
     transfer.join(meshes, positions)        # offsets over skinning; ``blend`` is the paper's weighted mean
 """
@@ -123,6 +122,7 @@ class DetailTransfer:
         self._carried = wp.zeros(match.fine_count, dtype=wp.vec3, device=self.device)
         self._offsets = wp.zeros((1, match.coarse_count), dtype=wp.vec3, device=self.device)
         self._launch = SplitLaunch(match.fine_count, self.device)
+        self._launch_coarse = SplitLaunch(match.fine_count, self.device, block_count=match.coarse_count)
 
     def _upload_rows(self, start: IntArray, entries: IntArray, weights: NDArray[np.float32]) -> list[wp.array]:
         kinds = (wp.int32, wp.int32, wp.float32)
@@ -148,10 +148,9 @@ class DetailTransfer:
         if self._offsets.shape[0] != meshes.shape[0]:
             shape = (meshes.shape[0], self._coarse_count)
             self._offsets = wp.zeros(shape, dtype=wp.vec3, device=self.device)
-        inputs = [coarse, self._corners, self._places]
-        wp.launch(place_on_coarse, self.fine_count, inputs, [self._carried], device=self.device)
+        self._launch(place_on_coarse, [coarse, self._corners, self._places], [self._carried])
         inputs = [coarse, self._carried, meshes, *self._members, self.settings.as_published, strength]
-        wp.launch(downsample_offsets, self._offsets.shape, inputs, [self._offsets], device=self.device)
+        self._launch_coarse(downsample_offsets, inputs, [self._offsets])
         self._launch(upsample_offsets, [self._offsets, *self._rows], [meshes])
 
     def blend(self, meshes: wp.array, shares: wp.array, positions: wp.array) -> None:
@@ -160,7 +159,7 @@ class DetailTransfer:
 
     def join(self, meshes: wp.array, positions: wp.array) -> None:
         """The first aligned mesh with the other meshes' offsets from it joined as joints' are, shape [fine_count]."""
-        wp.launch(join_meshes, self.fine_count, [meshes], [positions], device=self.device)
+        self._launch(join_meshes, [meshes], [positions])
 
 
 # --- the operator -------------------------------------------------------------------------------------------------

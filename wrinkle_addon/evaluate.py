@@ -18,7 +18,10 @@ from .surface import BodyVolume, SurfaceMeasures
 
 OURS = "ours"
 CANDIDATES = ("skinning", "nearest", "paper", OURS)
-"""What is measured: the settled rest garment skinned, nearest samples, the paper's form, and the default."""
+"""What is measured: the settled rest garment skinned, nearest samples, the paper's form, and the default.
+
+Of these the default alone follows a coarse layer.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +34,8 @@ class EvaluatedFrame:
         reference: The garment as the reference has it, in rig space [m], shape [vertex_count, 3].
         body: The body in rig space [m], shape [body_vertex_count, 3], or None if it is not known.
         report: What the reference said of itself.
+        over_coarse: Ours in line with the garment's coarse layer, in rig space [m], shape [vertex_count, 3]; None if it
+            has none.
     """
 
     frame: float
@@ -38,6 +43,7 @@ class EvaluatedFrame:
     reference: FloatArray
     body: FloatArray | None = None
     report: Mapping[str, Any] = field(default_factory=dict)
+    over_coarse: NDArray[np.float32] | None = None
 
 
 class Candidates:
@@ -106,6 +112,8 @@ def evaluate(
                 f"{database.header.garment.vertex_count}; record the garment object itself."
             )
         found = candidates.positions(frame.pose)
+        if frame.over_coarse is not None:
+            found[OURS] = frame.over_coarse
         if push is not None and frame.body is not None:
             ours = wp.array(found[OURS], dtype=wp.vec3, device=push.device)
             push.clear(frame.body, ours)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import enum
 import itertools
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -194,6 +194,26 @@ class JointEvaluator(Evaluator):
     def device(self) -> wp.Device:
         return self._device
 
+    def evaluate_apart(
+        self,
+        pose: Pose,
+        groups: Sequence[Sequence[str]],
+        meshes: wp.array,
+        strength: Mapping[str, float] | float = 1.0,
+        placement: FloatArray | None = None,
+    ) -> None:
+        """:meth:`evaluate` for groups of joints, each by itself, and first for none of them.
+
+        Args:
+            groups: Names of the joints of each; every joint is in one.
+            meshes: Array of vec3 on the evaluator's device, shape [1 + group_count, vertex_count].
+        """
+        names = [joint.name for joint in self._joints]
+        strengths = strength if isinstance(strength, Mapping) else dict.fromkeys(names, strength)
+        for number, members in enumerate(((), *groups)):
+            own = {name: strengths.get(name, 1.0) if name in members else 0.0 for name in names}
+            self.evaluate(pose, meshes[number], own, placement)
+
     def _read_pose(
         self, pose: Pose, strength: Mapping[str, float] | float, placement: FloatArray | None
     ) -> tuple[FloatArray, list[GridCell]]:
@@ -265,9 +285,8 @@ class OffsetEvaluator(JointEvaluator):
         samples.entry_window = wp.array(np.concatenate(windows), dtype=wp.float32, device=device)
         samples.offsets = wp.array(np.concatenate(data or [np.zeros((0, 3))]), dtype=wp.vec3, device=device)
         self._samples = samples
-        self._sums = Sums()
-        for name in ("total", "squares", "mixed"):
-            setattr(self._sums, name, wp.zeros(self._vertex_count, dtype=wp.vec3, device=device))
+        self._mesh_of_joint = HostArray((joints,), wp.int32, device)
+        self._make_room(1)
         self._launch = SplitLaunch(self._vertex_count, device, block_size)
 
     def evaluate(
@@ -277,6 +296,32 @@ class OffsetEvaluator(JointEvaluator):
         strength: Mapping[str, float] | float = 1.0,
         placement: FloatArray | None = None,
     ) -> None:
+        self._mesh_of_joint.host[:] = 0
+        self._evaluate(pose, out.reshape((1, self._vertex_count)), strength, placement)
+
+    def evaluate_apart(
+        self,
+        pose: Pose,
+        groups: Sequence[Sequence[str]],
+        meshes: wp.array,
+        strength: Mapping[str, float] | float = 1.0,
+        placement: FloatArray | None = None,
+    ) -> None:
+        for number, name in enumerate(grid.joint.name for grid in self._grids):
+            self._mesh_of_joint.host[number] = 1 + next(k for k, members in enumerate(groups) if name in members)
+        self._evaluate(pose, meshes, strength, placement)
+
+    def _make_room(self, mesh_count: int) -> None:
+        self._sums = Sums()
+        for name in ("total", "squares", "mixed"):
+            room = wp.zeros((mesh_count, self._vertex_count), dtype=wp.vec3, device=self._device)
+            setattr(self._sums, name, room)
+
+    def _evaluate(
+        self, pose: Pose, meshes: wp.array, strength: Mapping[str, float] | float, placement: FloatArray | None
+    ) -> None:
+        if meshes.shape[0] > self._sums.total.shape[0]:
+            self._make_room(meshes.shape[0])
         _, cells = self._read_pose(pose, strength, placement)
         self._corner_start.host[:] = -1
         for number, (grid, cell) in enumerate(zip(self._grids, cells, strict=True)):
@@ -290,6 +335,7 @@ class OffsetEvaluator(JointEvaluator):
                     corner += 1
         self._corner_start.upload()
         self._corner_weight.upload()
+        self._mesh_of_joint.upload()
         self._launch(
             blend_offsets,
             [
@@ -300,9 +346,10 @@ class OffsetEvaluator(JointEvaluator):
                 self._corner_start.device,
                 self._corner_weight.device,
                 self._strength.device,
+                self._mesh_of_joint.device,
                 self._placement.device,
             ],
-            [self._sums, out],
+            [self._sums, meshes],
         )
 
 

@@ -78,24 +78,32 @@ class SplitLaunch:
     """Launches a kernel over blocks of vertices whose first argument is the first block of its part.
 
     Warp runs a launch on one thread of a CPU but releases Python's lock, so parts run on several threads.
+
+    Args:
+        vertex_count: As many vertices as there is work for.
+        device: Warp device.
+        block_size: Vertices of a block.
+        block_count: Blocks, if they are not of vertices.
     """
 
-    def __init__(self, vertex_count: int, device: wp.Device, block_size: int = 1):
+    def __init__(self, vertex_count: int, device: wp.Device, block_size: int = 1, block_count: int | None = None):
         threads = max(1, min(cpu_count() or 1, vertex_count // LEAST_SPLIT)) if device.is_cpu else 1
-        edges = np.linspace(0, -(-vertex_count // block_size), threads + 1).astype(int)
+        edges = np.linspace(0, block_count or -(-vertex_count // block_size), threads + 1).astype(int)
         self._parts = [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
         self._device = device
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
     def __call__(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
         """Run the kernel over all blocks; ``inputs`` leave out the first block."""
-        run: list[Callable[[], object]] = [
-            lambda part=part: wp.launch(
-                kernel, dim=part[1], inputs=[part[0], *inputs], outputs=outputs, device=self._device
+        self.run(
+            lambda first, count: wp.launch(
+                kernel, dim=count, inputs=[first, *inputs], outputs=outputs, device=self._device
             )
-            for part in self._parts
-        ]
-        waiting = [self._pool.submit(task) for task in run[1:]] if self._pool else []
-        run[0]()
+        )
+
+    def run(self, act: Callable[[int, int], object]) -> None:
+        """Run an act on the first block and the number of blocks of every part."""
+        waiting = [self._pool.submit(act, *part) for part in self._parts[1:]] if self._pool else []
+        act(*self._parts[0])
         for task in waiting:
             task.result()

@@ -25,15 +25,15 @@ from numpy.typing import NDArray
 
 from ..kernels.cloth.body_surface import vertex_normals as area_normals
 from ..kernels.penetration import (
+    BOXES,
     Clearance,
     LimbGrids,
     believable_lacks,
     find_lacks,
-    find_missing_feet,
+    find_near_limbs,
     heights_over_surface,
     largest_around,
     mean_around,
-    mean_move_around,
     push_between_limbs,
     push_out,
 )
@@ -41,7 +41,7 @@ from ..kernels.posed_surface import PosedSurface
 from .cloth_contact import Limbs
 from .cloth_model import FloatArray, IntArray
 from .garment import bind_to_surface, vertex_neighbours, vertex_normals
-from .method import SplitLaunch
+from .method import BLOCK_SIZE, SplitLaunch
 from .surface import FacingSurface
 from .topology import group, mesh_edges, triangles_beside
 
@@ -54,11 +54,8 @@ CELL_REACH = 0.04
 FACING_REACH = 0.05
 """Skin that looks the way the garment does is preferred at rest, if it is at most this much farther [m]."""
 
-FRAME_POINTS = 200
+FRAME_POINTS = 64
 """Body vertices that tell how a limb lies, at most."""
-
-MOVE_ROUNDS = 2
-"""How often moves out of other limbs are averaged over neighbours, before they are looked at again."""
 
 FOOT_TOLERANCE = 5.0e-5
 """Height at which the walk to a foot ends [m]."""
@@ -193,6 +190,7 @@ class PosedBody:
         self.vertex_count = vertex_count
         start, corners = group(faces.ravel(), vertex_count)
         self._device = device
+        self._launch = SplitLaunch(vertex_count, device)
         self._corners = [wp.array(values, dtype=wp.int32, device=device) for values in (start, corners)]
         self._points = wp.zeros((1, vertex_count), dtype=wp.vec3, device=device)
         self._normals = wp.zeros((1, vertex_count), dtype=wp.vec3, device=device)
@@ -215,8 +213,13 @@ class PosedBody:
             self.struct.points.assign(np.ascontiguousarray(positions, np.float32))
         else:
             wp.copy(self.struct.points, positions)
-        inputs = [self._points, self.struct.faces, *self._corners]
-        wp.launch(area_normals, (1, self.vertex_count), inputs, [self._normals], device=self._device)
+        self._launch.run(self._find_normals)
+
+    def _find_normals(self, first: int, count: int) -> None:
+        start, corners = self._corners
+        part = slice(first, first + count)
+        inputs = [self._points, self.struct.faces, start[first:], corners]
+        wp.launch(area_normals, (1, count), inputs, [self._normals[:, part]], device=self._device)
 
 
 class PushOut:
@@ -251,16 +254,18 @@ class PushOut:
         self._grids.first = self._upload(binding.first)
         self._grids.cells = self._upload(binding.cells)
         self._grids.width = CELL
-        self._grids.box = wp.zeros((len(binding.first), 2), dtype=wp.vec3, device=self.device)
+        self._grids.near = wp.zeros(int(BOXES) ** 3, dtype=wp.int32, device=self.device)
         self._grids.frames = wp.zeros((len(binding.first), 3), dtype=wp.vec4, device=self.device)
         self._face = wp.zeros(count, dtype=wp.int32, device=self.device)
         self._height, self._lack, self._other = (
             wp.zeros(count, dtype=wp.float32, device=self.device) for _ in range(3)
         )
-        self._normal, self._none, self._move, self._other_move = (
-            wp.zeros(count, dtype=wp.vec3, device=self.device) for _ in range(4)
-        )
-        self._launch = SplitLaunch(count, self.device)
+        self._normal, self._moves = (wp.zeros(count, dtype=wp.vec3, device=self.device) for _ in range(2))
+        self._block_size = BLOCK_SIZE if self.device.is_cpu else 1
+        self._split = SplitLaunch(count, self.device, self._block_size)
+
+    def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
+        self._split(kernel, [self._block_size, *inputs], outputs)
 
     def _upload(self, values: NDArray, dtype: type = wp.int32) -> wp.array:
         return wp.array(values, dtype=dtype, device=self.device)
@@ -287,13 +292,15 @@ class PushOut:
         """
         self._body.move(body)
         if len(self._grids.first):
-            frames, box = self._frames.read(body)
+            frames, self._grids.corner, self._grids.box = self._frames.read(body)
             self._grids.frames.assign(frames)
-            self._grids.box.assign(box)
+            near = self._grids.near
+            wp.launch(find_near_limbs, near.shape, [self._grids], [near], device=self.device)
         self._clearance.metre = metre
-        common = [self._rest_height, self._body.struct, self._grids, self._clearance, FOOT_TOLERANCE]
+        common = [self._body.struct, self._grids, self._clearance, FOOT_TOLERANCE]
         found = [self._face, self._height, self._normal]
-        self._launch(find_lacks, [positions, self._start, *common], [*found, self._lack])
+        needs = [self._start, self._rest_height]
+        self._launch(find_lacks, [positions, *needs, *common], [*found, self._lack])
         inputs = [positions, *self._neighbours, self._lack, self._clearance]
         self._launch(believable_lacks, inputs, [self._other])
         self._lack, self._other = self._other, self._lack
@@ -302,15 +309,9 @@ class PushOut:
             for _ in range(self.rings):
                 self._launch(kernel, [*self._neighbours, self._lack], [self._other])
                 self._lack, self._other = self._other, self._lack
-        self._launch(find_missing_feet, [positions, self._start, self._lack, *common[1:]], found)
-        if len(self._grids.first):
-            inputs = [positions, self._start, self._lack, *found, *common]
-            self._launch(push_between_limbs, [*inputs, self._none, False], [self._move])
-            for _ in range(MOVE_ROUNDS):
-                self._launch(mean_move_around, [*self._neighbours, self._move], [self._other_move])
-                self._move, self._other_move = self._other_move, self._move
-            self._launch(push_between_limbs, [*inputs, self._move, True], [self._other_move])
-        self._launch(push_out, [self._lack, self._normal, self._other_move, self._clearance], [positions])
+        self._launch(push_between_limbs, [positions, *needs, self._lack, *common], [*found, self._moves])
+        inputs = [*self._neighbours, *needs, self._lack, *found, self._moves, *common]
+        self._launch(push_out, inputs, [positions])
 
 
 class LimbFrames:
@@ -328,13 +329,12 @@ class LimbFrames:
         self._centre = rest.mean(1)
         self._rest = rest - self._centre[:, None]
 
-    def read(self, body: NDArray[np.floating] | wp.array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def read(self, body: NDArray[np.floating] | wp.array) -> tuple[NDArray[np.float32], wp.vec3, wp.vec3]:
         """Where the limbs of a posed body lie.
 
         Returns:
             Rows of the matrices that take points of the pose to each limb at rest [m], shape [limb_count, 3, 4], a unit
-            of length of the pose included. Lowest and highest corner of a box around each limb and what is near it,
-            shape [limb_count, 2, 3].
+            of length of the pose included. Lowest corner and size of the boxes that hold all limbs and what is near.
         """
         points: NDArray[np.floating] = body if isinstance(body, np.ndarray) else body.numpy()
         posed = points[self._members].astype(np.float64)
@@ -348,4 +348,5 @@ class LimbFrames:
         moved = self._centre - np.einsum("lij,lj->li", turn, centre)
         margin = 2.0 * CELL_REACH / scale[:, None]
         frames = np.concatenate([turn, moved[:, :, None]], 2).astype(np.float32)
-        return frames, np.stack([low - margin, high + margin], 1).astype(np.float32)
+        low, high = (low - margin).min(0), (high + margin).max(0)
+        return frames, wp.vec3(*low), wp.vec3(*((high - low) / int(BOXES)))

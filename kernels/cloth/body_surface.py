@@ -120,6 +120,31 @@ def plane_weights(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
     return wp.vec3(1.0 - s - t, s, t)
 
 
+@wp.func
+def smooth_step(
+    a: wp.vec3, b: wp.vec3, c: wp.vec3, na: wp.vec3, nb: wp.vec3, nc: wp.vec3, height: wp.float32
+) -> tuple[wp.vec3, wp.vec3, wp.float32]:
+    """A step of Phong projection onto a triangle abc with vertex normals, all as seen from the point.
+
+    The triangle is raised along its normals by ``height`` to where the point should be. Returns the point's barycentric
+    coordinates there, possibly outside [0, 1], the interpolated normal, and by how much the height is to change.
+    """
+    ra = a + height * na
+    rb = b + height * nb
+    rc = c + height * nc
+    w = plane_weights(wp.vec3(), ra, rb, rc)
+    normal = w[0] * na + w[1] * nb + w[2] * nc
+    facing = wp.cross(rb - ra, rc - ra)
+    return w, normal, -wp.dot(ra, facing) / wp.dot(normal, facing)
+
+
+@wp.func
+def farthest_corner(w: wp.vec3) -> wp.int32:
+    """Corner opposite to the edge that a point with these barycentric coordinates lies farthest beyond."""
+    least = wp.min(w)
+    return wp.where(w[0] == least, 0, wp.where(w[1] == least, 1, 2))
+
+
 # Triangles that the walk of smooth_foot visits at most, and where it is close enough [m].
 FOOT_STEPS = wp.constant(16)
 FOOT_TOLERANCE = wp.constant(1.0e-7)
@@ -149,24 +174,15 @@ def smooth_foot(body: BodySurface, world: wp.int32, p: wp.vec3d, start: wp.int32
         if step == 0:
             normal = w[0] * na + w[1] * nb + w[2] * nc
             height = -wp.dot(w[0] * a + w[1] * b + w[2] * c, normal) / wp.dot(normal, normal)
-        # The triangle raised along its normals to where p should be.
-        ra = a + height * na
-        rb = b + height * nb
-        rc = c + height * nc
-        w = plane_weights(wp.vec3(), ra, rb, rc)
-        normal = w[0] * na + w[1] * nb + w[2] * nc
-        facing = wp.cross(rb - ra, rc - ra)
-        rise = -wp.dot(ra, facing) / wp.dot(normal, facing)
+        w, normal, rise = smooth_step(a, b, c, na, nb, nc, height)
         height += rise
-        least = wp.min(w)
-        if least >= -1.0e-6:
+        if wp.min(w) >= -1.0e-6:
             if wp.abs(rise) < FOOT_TOLERANCE:
                 found = face
                 break
         elif wp.abs(rise) < 1.0e-4:
-            # Across the edge that p lies farthest beyond; only once the height is about right.
-            corner = wp.where(w[0] == least, 0, wp.where(w[1] == least, 1, 2))
-            face = body.beside[face, corner]
+            # Across the edge; only once the height is about right.
+            face = body.beside[face, farthest_corner(w)]
             if face < 0:
                 break
     return found, w, height, normal

@@ -166,18 +166,18 @@ def test_the_last_run_makes_what_is_missing(wrinkle, file: Path, tmp_path: Path)
 
 def test_a_run_that_is_stopped_goes_on(wrinkle, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache_parts, "LONGEST", 2)
-    whole = clip_synthesis.read_clip
+    whole = clip_synthesis.step_frames
 
     def stopped(*arguments: object):
-        for clip in whole(*arguments):
-            if clip.frame == 6:
+        for frame in whole(*arguments):
+            if frame == 6:
                 raise KeyboardInterrupt
-            yield clip
+            yield frame
 
-    monkeypatch.setattr(clip_synthesis, "read_clip", stopped)
+    monkeypatch.setattr(clip_synthesis, "step_frames", stopped)
     assert wrinkle("synthesize", file, "--out", tmp_path / "a.pc2").code == 130
     assert not (tmp_path / "a.pc2").exists()
-    monkeypatch.setattr(clip_synthesis, "read_clip", whole)
+    monkeypatch.setattr(clip_synthesis, "step_frames", whole)
     assert wrinkle("synthesize", file, "--out", tmp_path / "a.pc2", "--json").result["made"] == 4
     assert wrinkle("synthesize", file, "--out", tmp_path / "b.pc2").code == 0
     assert (tmp_path / "a.pc2").read_bytes() == (tmp_path / "b.pc2").read_bytes()

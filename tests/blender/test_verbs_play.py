@@ -124,6 +124,19 @@ def test_a_kept_evaluation_is_told_and_drawn_by_the_panel(wrinkle, file: Path, t
     assert {f"{garment.name} error", f"{garment.name} wrinkles"} <= set(bpy.data.images.keys())
 
 
+def test_over_a_coarse_layer_ours_follows_it_in_evaluation_too(wrinkle, arm: Arm, tmp_path: Path) -> None:
+    bpy.context.view_layer.objects.active = arm.sleeve
+    bpy.ops.wrinkle.make_coarse_mesh(vertex_count=60)
+    arm.sleeve.wrinkles.coarse_layer = "MESH"
+    blown = arm.sleeve.wrinkles.coarse.modifiers.new("blow", "DISPLACE")
+    blown.direction, blown.mid_level, blown.strength = "Z", 0.0, 0.05
+    file, out = save(tmp_path / "a.blend"), tmp_path / "a.pc2"
+    assert wrinkle("synthesize", file, "--out", out).code == 0
+    result = wrinkle("evaluate", file, "--reference", out, "--json").result
+    # A cache holds single precision; what does not follow is off by the blow.
+    assert result["max_mm"]["ours"] < 0.01 and result["rmse_mm"]["skinning"] > 40.0
+
+
 def test_equilibria_are_a_reference(wrinkle, file: Path) -> None:
     result = wrinkle("evaluate", file, "--frames", "1:5:4", "--json").result
     assert [frame["frame"] for frame in result["frames"]] == [1.0, 5.0]

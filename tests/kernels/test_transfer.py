@@ -129,7 +129,7 @@ def test_blending_is_the_weighted_mean(device, moved):
 def test_joining_adds_offsets_from_the_first_mesh_as_joints_do(device, moved):
     meshes = moved[0].astype(np.float32)
     out, joined = (wp.zeros(meshes.shape[1], dtype=wp.vec3, device=device) for _ in range(2))
-    wp.launch(join_meshes, out.shape, [wp.array(meshes, dtype=wp.vec3, device=device)], [out], device=device)
+    wp.launch(join_meshes, out.shape, [0, wp.array(meshes, dtype=wp.vec3, device=device)], [out], device=device)
     offsets = wp.array(meshes[1:] - meshes[0], dtype=wp.vec3, device=device)
     wp.launch(join_all_offsets, joined.shape, [offsets], [joined], device=device)
     assert np.abs(out.numpy() - (meshes[0] + joined.numpy())).max() < 1e-6

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cloth_shapes import floor, raised, sheet, sphere, tube
+from cloth_shapes import floor, raised, sheet, sphere, tube, turned
 from wrinkle_synthesis.wrinkle_addon import coarse_simulation
 from wrinkle_synthesis.wrinkle_addon.cloth import STANDARD_GRAVITY, ClothSimulation, SolverSettings
 from wrinkle_synthesis.wrinkle_addon.cloth_contact import ContactSettings
@@ -271,11 +271,6 @@ def sleeve(device="cpu", settings=None, **more):
     return simulation, arm[0], rest
 
 
-def turned(positions, angle):
-    c, s = np.cos(angle), np.sin(angle)
-    return positions @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
-
-
 def swing(simulation, arm, rest, frames, first=0):
     """Wave the arm to and fro; the reports."""
     reports = []
@@ -408,45 +403,6 @@ def test_any_frame_rate_takes_the_same_number_of_steps_and_ends_alike():
 
 
 # --- layers -----------------------------------------------------------------------------------------------------------
-
-
-def shirt_over_trousers(gap, device="cpu"):
-    """Two sleeves on one arm, the inner one ``gap`` [m] under the outer one."""
-    arm = tube(40, 24, 0.6, 0.04)
-    inner, outer = tube(20, 16, 0.4, 0.055), tube(16, 20, 0.3, 0.055 + gap)
-    settings = CoarseSettings(buffer=0.004, pre_roll=0.3), CoarseSettings(buffer=0.01, pre_roll=0.3)
-    layers = [
-        CoarseLayer(name, *mesh, one)
-        for name, mesh, one in zip(("Trousers", "Shirt"), (inner, outer), settings, strict=True)
-    ]
-    return CoarseSimulation(layers, arm[1], arm[0], device=device), arm[0], [inner[0], outer[0]]
-
-
-def test_what_is_worn_underneath_stays_underneath(device):
-    simulation, arm, garments = shirt_over_trousers(0.01, device)
-    assert simulation.start(arm, garments).crossed == 0
-    crossed = []
-    for frame in range(20):
-        angle = 0.8 * np.sin(2.0 * np.pi * (frame + 1) / 20.0)
-        crossed.append(simulation.step(turned(arm, angle), [turned(one, angle) for one in garments], FRAME).crossed)
-    # Triangles of 2 cm: of 320 vertices a few may poke through between the outer one's for a frame.
-    assert max(crossed) <= 6
-
-
-def test_layers_that_start_through_each_other_are_counted_and_go_on():
-    simulation, arm, garments = shirt_over_trousers(-0.006)
-    settle = simulation._settle
-    found = []
-    simulation._settle = lambda: (
-        simulation._contact.find(simulation._motion.positions, simulation._skin),
-        found.append(simulation._contact.crossed(simulation._motion.positions)),
-        settle(),
-    )
-    report = simulation.start(arm, garments)
-    assert found[0] > 100
-    # The outer sleeve is the narrower one, so some of the inner one stays outside for now.
-    assert report.crossed < 0.5 * found[0]
-    assert np.isfinite(simulation.positions[0]).all()
 
 
 def test_layers_push_each_other_with_one_force(device, exact):

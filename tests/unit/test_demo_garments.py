@@ -13,7 +13,7 @@ from wrinkle_synthesis.wrinkle_addon.remesh import Edges, normals
 from wrinkle_synthesis.wrinkle_addon.surface import SurfaceMeasures
 
 VERTEX_COUNT = 4_000
-OPENINGS = {"shirt": 4, "tshirt": 4, "trousers": 3}
+OPENINGS = {"shirt": 4, "tshirt": 4, "trousers": 3, "cropped": 3}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -31,7 +31,8 @@ def dressed(sex: str, name: str) -> tuple[Character, Garment]:
 
 
 @pytest.fixture(
-    params=[("male", "shirt"), ("female", "shirt"), ("male", "tshirt"), ("female", "trousers")], ids="-".join
+    params=[("male", "shirt"), ("female", "shirt"), ("male", "tshirt"), ("female", "trousers"), ("female", "cropped")],
+    ids="-".join,
 )
 def pair(request: pytest.FixtureRequest) -> tuple[Character, Garment]:
     return dressed(*request.param)

@@ -124,6 +124,21 @@ def test_strength_zero_is_skinning(character: Doll, wrinkled: WrinkleDatabase, d
     assert np.allclose(half, 0.5 * (skinned + evaluator.positions(pose)), atol=2 * SINGLE)
 
 
+@pytest.mark.parametrize("formulation", [Formulation.OFFSETS, Formulation.PAPER])
+def test_groups_of_joints_synthesised_apart_are_each_what_they_are_alone(
+    character: Doll, wrinkled: WrinkleDatabase, device: str, formulation: Formulation
+):
+    evaluator = JointWrinkles(wrinkled, formulation).bind(device)
+    pose = character.random_pose(np.random.default_rng(13))
+    names = [joint.name for joint in wrinkled.header.joints]
+    groups = (names[::2], names[1::2])
+    meshes = wp.zeros((3, evaluator.vertex_count), dtype=wp.vec3, device=device)
+    evaluator.evaluate_apart(pose, groups, meshes, {names[0]: 0.5})
+    for mesh, group in zip(meshes.numpy(), ((), *groups), strict=True):
+        alone = {name: {names[0]: 0.5}.get(name, 1.0) if name in group else 0.0 for name in names}
+        np.testing.assert_array_equal(mesh, evaluator.positions(pose, alone))
+
+
 @pytest.mark.parametrize("name", ["forearm pronated by 40 degrees", "clavicles raised by 15 degrees",
                                   "spine bent unevenly", "elbow 20 degrees past its range"])  # fmt: skip
 def test_no_seam_opens_when_bones_turn_that_were_not_sampled(

@@ -110,10 +110,15 @@ class BodyClearance:
             placement: Matrix from rig space [m] to that space, shape [4, 4].
         """
         assert self._push is not None
-        metre = abs(float(np.linalg.det(placement[:3, :3]))) ** (1.0 / 3.0)
+        metre = metre_of(placement)
         # A garment that is scaled to nothing is not seen.
         if metre > 0.0:
             self._push.clear(body, positions, metre)
+
+
+def metre_of(placement: FloatArray) -> float:
+    """Length of a metre in the space that a matrix from rig space [m] leads to, shape [4, 4]."""
+    return abs(float(np.linalg.det(placement[:3, :3]))) ** (1.0 / 3.0)
 
 
 def bind_to_body(database: WrinkleDatabase, body: Body) -> ClearanceBinding:

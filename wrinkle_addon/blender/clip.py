@@ -53,39 +53,56 @@ def parse_frames(text: str) -> list[int]:
     return frames
 
 
-def read_clip(
-    garment: bpy.types.Object, rig: Rig, frames: Sequence[float], scale: float | None = None
-) -> Iterator[ClipFrame]:
-    """Step the scene through frames, fractions allowed, and read the garment's armature at each; frame kept afterwards.
+class ClipReader:
+    """Reads the pose that a garment's armature has in the scene's frame.
 
     Args:
         garment: A garment that was set up.
         rig: The rig to read, of the garment's armature.
         scale: Metres of the rig per unit of the armature's own space; left out, those of the scene.
     """
+
+    def __init__(self, garment: bpy.types.Object, rig: Rig, scale: float | None = None):
+        self._garment = garment
+        self._armature = garment.wrinkles.armature
+        self._reader = PoseReader(self._armature, rig)
+        self._in_scene = rig_scale(self._armature)
+        self._scale = self._in_scene if scale is None else scale
+
+    def read(self, frame: float) -> ClipFrame:
+        """The frame that the scene is at."""
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        units = float(depsgraph.scene.unit_settings.scale_length)
+        evaluated = self._armature.evaluated_get(depsgraph)
+        world = np.array(evaluated.matrix_world, np.float64)
+        # Rig space is the object's own axes in metres, so its scale comes out of the rotation.
+        rigid = world.copy()
+        rigid[:3, :3] *= units / self._scale
+        rigid[:3, 3] *= units
+        from_rig = world.copy()
+        from_rig[:3, :3] /= self._scale
+        worn = np.array(self._garment.evaluated_get(depsgraph).matrix_world, np.float64)
+        pose = self._reader.read(evaluated)
+        pose.matrices[:, :3, 3] *= self._scale / self._in_scene
+        return ClipFrame(float(frame), pose, rigid, np.linalg.inv(worn) @ from_rig)
+
+
+def step_frames(frames: Sequence[float]) -> Iterator[float]:
+    """Step the scene through frames, fractions allowed; the frame that it was at comes back afterwards."""
     scene = bpy.context.scene
     before = scene.frame_current, scene.frame_subframe
-    armature = garment.wrinkles.armature
-    reader = PoseReader(armature, rig)
-    in_scene = rig_scale(armature)
-    scale = in_scene if scale is None else scale
-    units = float(scene.unit_settings.scale_length)
     try:
         for frame in frames:
             whole = int(np.floor(frame))
             scene.frame_set(whole, subframe=float(frame - whole))
-            depsgraph = bpy.context.evaluated_depsgraph_get()
-            evaluated = armature.evaluated_get(depsgraph)
-            world = np.array(evaluated.matrix_world, np.float64)
-            # Rig space is the object's own axes in metres, so its scale comes out of the rotation.
-            rigid = world.copy()
-            rigid[:3, :3] *= units / scale
-            rigid[:3, 3] *= units
-            from_rig = world.copy()
-            from_rig[:3, :3] /= scale
-            to_garment = np.linalg.inv(np.array(garment.evaluated_get(depsgraph).matrix_world, np.float64)) @ from_rig
-            pose = reader.read(evaluated)
-            pose.matrices[:, :3, 3] *= scale / in_scene
-            yield ClipFrame(float(frame), pose, rigid, to_garment)
+            yield frame
     finally:
         scene.frame_set(before[0], subframe=before[1])
+
+
+def read_clip(
+    garment: bpy.types.Object, rig: Rig, frames: Sequence[float], scale: float | None = None
+) -> Iterator[ClipFrame]:
+    """Step the scene through frames and read the garment's armature at each; arguments as of :class:`ClipReader`."""
+    reader = ClipReader(garment, rig, scale)
+    return (reader.read(frame) for frame in step_frames(frames))

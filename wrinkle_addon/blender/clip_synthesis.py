@@ -17,10 +17,11 @@ from ..database import WrinkleDatabase
 from ..joint_wrinkles import BlendWeights, Formulation, JointWrinkles
 from ..storage import content_key, file_hash
 from .clearance import BodyClearance
-from .clip import read_clip
+from .clip import ClipReader, step_frames
 from .coarse_layer import CoarseBinding, coarse_key
 from .exporters import EXPORTERS, check_exporter, export_garment
 from .files import check_output
+from .inner_clearance import InnerClearance, InnerGarment, garments_under
 from .matching import check_database
 
 CACHE = ".pc2"
@@ -48,7 +49,7 @@ class ClipSynthesis:
 
     Attributes:
         clamped_deg: By how much joints went beyond their samples in the frames played so far [degrees].
-        notes: Why the garment was not kept clear of its body, and in how many frames so far.
+        notes: Why the garment was not kept clear of its body or of what it is worn over, and in how many frames so far.
 
     Raises:
         ValueError: One sentence, if the database cannot be read, or is not of this garment and its rig.
@@ -66,14 +67,24 @@ class ClipSynthesis:
         self.garment = garment
         self.clamped_deg: dict[str, float] = {}
         self._database = WrinkleDatabase.open(database)
-        self._scale = check_database(garment, self._database.header)
+        scale = check_database(garment, self._database.header)
+        self._reader = ClipReader(garment, self._database.header.rig, scale)
         self._formulation = formulation or Formulation[settings.formulation]
         self._weights = weights or BlendWeights[settings.weights]
         self._evaluator = JointWrinkles(self._database, self._formulation, self._weights).bind(device)
         self._clearance = BodyClearance(self._database, device)
         self._coarse = CoarseBinding(self._database)
+        self._inner_clearance = InnerClearance(self._database, device)
+        self._inner = self._make_inner(device)
         self._positions = wp.zeros(self._evaluator.vertex_count, dtype=wp.vec3, device=self._evaluator.device)
         self.notes: dict[str, int] = {}
+
+    def _make_inner(self, device: str) -> ClipSynthesis | None:
+        """What the garment is worn over, if that plays wrinkles."""
+        under = garments_under(self.garment)
+        if not under or not under[0].wrinkles.enabled or under[0].wrinkles.flow.replays:
+            return None
+        return ClipSynthesis(under[0], Path(bpy.path.abspath(under[0].wrinkles.database)), device=device)
 
     @property
     def vertex_count(self) -> int:
@@ -81,21 +92,35 @@ class ClipSynthesis:
 
     def positions(self, frames: range) -> Iterator[NDArray[np.float32]]:
         """The garment in its object space in every frame, shape [vertex_count, 3] each."""
-        for clip in read_clip(self.garment, self._database.header.rig, frames, self._scale):
-            # Strengths may be animated.
-            strengths = self.garment.wrinkles.strengths()
-            depsgraph = bpy.context.evaluated_depsgraph_get()
-            layer = self._coarse.read(self.garment, depsgraph, self._evaluator, strict=True)
-            (layer or self._evaluator).evaluate(clip.pose, self._positions, strengths, clip.rig_to_garment)
-            body = self._clearance.read(self.garment, depsgraph, clip.pose, clip.rig_to_garment)
-            if body is not None:
-                self._clearance.clear(body, self._positions, clip.rig_to_garment)
-            if self._clearance.note:
-                self.notes[self._clearance.note] = self.notes.get(self._clearance.note, 0) + 1
-            for name, beyond in self._evaluator.clamped.items():
-                angle = math.degrees(float(np.abs(beyond).max()))
-                self.clamped_deg[name] = max(self.clamped_deg.get(name, 0.0), angle)
-            yield self._positions.numpy().copy()
+        return (self._at(frame) for frame in step_frames(frames))
+
+    def _at(self, frame: float) -> NDArray[np.float32]:
+        """The garment in the frame that the scene is at."""
+        clip = self._reader.read(frame)
+        # Strengths may be animated.
+        strengths = self.garment.wrinkles.strengths()
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        layer = self._coarse.read(self.garment, depsgraph, self._evaluator, strict=True)
+        (layer or self._evaluator).evaluate(clip.pose, self._positions, strengths, clip.rig_to_garment)
+        body = self._clearance.read(self.garment, depsgraph, clip.pose, clip.rig_to_garment)
+        if body is not None:
+            self._clearance.clear(body, self._positions, clip.rig_to_garment)
+        inner = self._inner_clearance.read(self.garment, depsgraph, self._inner_garment(frame, depsgraph))
+        if inner is not None:
+            self._inner_clearance.clear(inner, self._positions, clip.rig_to_garment)
+        for note in filter(None, (self._clearance.note, self._inner_clearance.note)):
+            self.notes[note] = self.notes.get(note, 0) + 1
+        for name, beyond in self._evaluator.clamped.items():
+            angle = math.degrees(float(np.abs(beyond).max()))
+            self.clamped_deg[name] = max(self.clamped_deg.get(name, 0.0), angle)
+        return self._positions.numpy().copy()
+
+    def _inner_garment(self, frame: float, depsgraph: bpy.types.Depsgraph) -> InnerGarment | None:
+        """What the garment is worn over, in the frame that the scene is at; None if that plays no wrinkles."""
+        if self._inner is None:
+            return None
+        world = np.array(self._inner.garment.evaluated_get(depsgraph).matrix_world, np.float64)
+        return InnerGarment(self._inner._database, self._inner._at(frame), world)
 
     def file_key(self) -> str:
         """Hash of the open file, of those linked into it, and of all else that decides what is written."""
@@ -109,6 +134,7 @@ class ClipSynthesis:
                 "formulation": self._formulation.value,
                 "weights": self._weights.value,
                 "coarse": coarse_key(self.garment),
+                "worn_over": "" if self._inner is None else self._inner.file_key(),
             }
         )
 

@@ -27,6 +27,7 @@ from .clearance import BodyClearance
 from .coarse_layer import CoarseBinding
 from .culling import is_culled
 from .first_start import first_start
+from .inner_clearance import InnerClearance, InnerGarment, garments_under
 from .matching import check_mesh, match_rig
 from .node_group import find_modifier, shows_all
 from .preferences import device_name
@@ -104,6 +105,7 @@ class Player:
         self._evaluator = method.bind(device)
         self._positions = wp.zeros(self._evaluator.vertex_count, dtype=wp.vec3, device=device)
         self._clearance = BodyClearance(self.database, device)
+        self._inner_clearance = InnerClearance(self.database, device)
         on_cpu = self._positions.device.is_cpu
         self._host = self._positions if on_cpu else wp.zeros_like(self._positions, device="cpu", pinned=True)
         self._host_view: NDArray[np.float32] = self._host.numpy()
@@ -121,8 +123,13 @@ class Player:
 
     @property
     def note(self) -> str:
-        """Why the garment is not kept clear of its body, if it should be; else empty."""
-        return self._clearance.note
+        """Why the garment is not kept clear of its body or of an inner garment, if it should be; else empty."""
+        return " ".join(filter(None, (self._clearance.note, self._inner_clearance.note)))
+
+    @property
+    def positions(self) -> NDArray[np.float32]:
+        """The garment as played last, in its object space, shape [vertex_count, 3]."""
+        return self._host_view
 
     def check(self, garment: bpy.types.Object) -> None:
         """Compare the garment's mesh and rig with the database, if there is reason to.
@@ -172,13 +179,17 @@ class Player:
         full = depsgraph.mode == "RENDER" or garment.wrinkles.viewport_detail == "FULL"
         body = self._clearance.read(garment, depsgraph, pose, placement) if full else None
         coarse = None if layer is None else (layer.positions.tobytes(), layer.follow)
-        around = None if body is None else (body.tobytes(), garment.wrinkles.clearance)
-        inputs = (full, pose.matrices.tobytes(), placement.tobytes(), strengths, frame, coarse, around)
+        inner = self._inner_clearance.read(garment, depsgraph, _inner_garment(garment, depsgraph)) if full else None
+        around = tuple(None if points is None else points.tobytes() for points in (body, inner))
+        decided = (strengths, frame, coarse, around, garment.wrinkles.clearance, full)
+        inputs = (pose.matrices.tobytes(), placement.tobytes(), *decided)
         if only_changes and inputs == self._inputs:
             return
         (layer or self._evaluator).evaluate(pose, self._positions, strengths, placement)
         if body is not None:
             self._clearance.clear(body, self._positions, placement)
+        if inner is not None:
+            self._inner_clearance.clear(inner, self._positions, placement)
         if self._host is not self._positions:
             wp.copy(self._host, self._positions)
             wp.synchronize_device(self._positions.device)
@@ -214,11 +225,13 @@ class Status:
         player: None as long as there is none.
         failed: A source that no player could be made from, and why; not tried again until something changes.
         error: One sentence, if the garment shows its skinned shape because of it; else empty.
+        plays: Whether the player shows it in the frame played last.
     """
 
     player: Player | None = None
     failed: tuple[Source | FlowFile, str] | None = None
     error: str = ""
+    plays: bool = False
 
 
 _statuses: dict[int, Status] = {}
@@ -228,6 +241,24 @@ _statuses: dict[int, Status] = {}
 def status(garment: bpy.types.Object) -> Status:
     """How the garment is played."""
     return _statuses.get(garment.session_uid) or Status()
+
+
+def _inner_garment(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> InnerGarment | None:
+    """What a garment is worn over, as it is played in this frame; None if it is not."""
+    inner = garment.wrinkles.worn_over
+    known = Status() if inner is None else status(inner)
+    if inner is None or not known.plays or not isinstance(known.player, Player):
+        return None
+    world = np.array(inner.evaluated_get(depsgraph).matrix_world, np.float64)
+    return InnerGarment(known.player.database, known.player.positions, world)
+
+
+def _layer_number(garment: bpy.types.Object) -> int:
+    """How many garments one is worn over: those are played before it."""
+    try:
+        return len(garments_under(garment))
+    except ValueError:
+        return 0
 
 
 def play_scene(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, *, only_changes: bool = False) -> list[str]:
@@ -245,10 +276,12 @@ def play_scene(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, *, only_c
     errors = []
     poses: dict[object, Pose] = {}
     garments = [ob for ob in _objects(scene) if ob.type == "MESH" and ob.wrinkles.enabled]
-    for garment in garments:
+    for known in _statuses.values():
+        known.plays = False
+    for garment in sorted(garments, key=_layer_number):
         known = _statuses.setdefault(garment.session_uid, Status())
         try:
-            _play_garment(garment, known, depsgraph, poses, only_changes)
+            known.plays = _play_garment(garment, known, depsgraph, poses, only_changes)
             known.error = ""
         except Exception as error:
             if not isinstance(error, ValueError):
@@ -274,17 +307,18 @@ def _play_garment(
     depsgraph: bpy.types.Depsgraph,
     poses: dict[object, Pose],
     only_changes: bool,
-) -> None:
+) -> bool:
+    """Play one garment; returns whether a player shows it."""
     if garment.data.is_editmode:
         # The artist edits the skinned garment; whatever comes out of edit mode is looked at again.
         _doubt(known)
         show_skinned(garment)
-        return
+        return False
     if not garment.evaluated_get(depsgraph).is_evaluated:
-        return
+        return False
     if not _is_shown(garment, depsgraph) or is_culled(garment, depsgraph):
         wake_skinning(garment)
-        return
+        return False
     source = garment.wrinkles.flow.source() or Source.of(garment)
     armature = garment.wrinkles.armature.evaluated_get(depsgraph)
     if not armature.is_evaluated:
@@ -297,6 +331,7 @@ def _play_garment(
     if player.rig_key not in poses:
         poses[player.rig_key] = player.read_pose(armature)
     player.play(garment, poses[player.rig_key], depsgraph, only_changes=only_changes)
+    return True
 
 
 def _is_shown(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:

@@ -70,6 +70,10 @@ def _may_be_coarse(settings: GarmentSettings, ob: bpy.types.Object) -> bool:
     return ob.type == "MESH" and ob != settings.id_data
 
 
+def _may_be_inner(settings: GarmentSettings, ob: bpy.types.Object) -> bool:
+    return ob.type == "MESH" and ob != settings.id_data and ob.wrinkles.armature == settings.armature
+
+
 def _masked(settings: GarmentSettings, context: bpy.types.Context) -> None:
     set_mask(add_modifier(settings.id_data), settings.mask)
     settings.id_data.update_tag()
@@ -336,6 +340,14 @@ class GarmentSettings(bpy.types.PropertyGroup):
         default="FULL",
         description="What is left out in the viewport to play faster",
         options=set(),
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+    worn_over: bpy.props.PointerProperty(
+        type=bpy.types.Object,
+        name="Worn Over",
+        description="Another garment of the character with wrinkles, which this one is kept outside of",
+        poll=_may_be_inner,
         override=_OVERRIDABLE,
         update=_played_anew,
     )

@@ -9,6 +9,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from ..bake import BakeJob
@@ -17,7 +18,7 @@ from ..evaluate import EvaluatedFrame, worst_of
 from ..evaluate import evaluate as evaluate_frames
 from ..evaluation_record import write_evaluation
 from ..folder_verbs import choose_device
-from ..joint_wrinkles import BlendWeights, Formulation
+from ..joint_wrinkles import BlendWeights, Formulation, JointWrinkles
 from ..losses import LossFinder, mean_losses
 from ..pc2 import PointCache, write_pc2
 from ..penetration import ClearanceSettings, PushOut
@@ -29,6 +30,7 @@ from .character import SamplingStage, apply, sampling_stage
 from .clearance import bind_to_body
 from .clip import ClipFrame, parse_frames, read_clip
 from .clip_synthesis import CACHE, ClipSynthesis, check_result, write_clip, write_parts
+from .coarse_layer import CoarseBinding
 from .files import check_output, save_character
 from .matching import check_database
 from .mesh_cache import play_cache
@@ -194,6 +196,8 @@ def evaluate(options: argparse.Namespace) -> Mapping[str, Any]:
     check_database(garment, database.header)
     if cache is not None:
         _check_cache(cache, frames, database.header.garment.vertex_count)
+    weights = _weights(options, garment)
+    layered = list(_over_coarse(garment, database, frames, weights, device))
     with sampling_stage(garment.wrinkles.armature, garment.wrinkles.body) as stage:
         job = stage_job(garment, stage)
         clips = list(read_clip(garment, stage.rig, frames))
@@ -207,15 +211,15 @@ def evaluate(options: argparse.Namespace) -> Mapping[str, Any]:
             references = _settled(job, stage, clips, database, device, losses=options.losses)
 
         def compared() -> Iterator[EvaluatedFrame]:
-            for clip, (shape, report) in zip(clips, references, strict=True):
+            for clip, over_coarse, (shape, report) in zip(clips, layered, references, strict=True):
                 _say_frame(clip, report)
                 upright, root = clip.pose.with_root_at_rest(stage.rig)
-                yield EvaluatedFrame(clip.frame, clip.pose, shape, apply(root, stage.positions(upright)), report)
+                body = apply(root, stage.positions(upright))
+                yield EvaluatedFrame(clip.frame, clip.pose, shape, body, report, over_coarse)
 
         push = None
         if garment.wrinkles.clear_of_body:
             push = PushOut(bind_to_body(database, job.body), ClearanceSettings(garment.wrinkles.clearance), device)
-        weights = _weights(options, garment)
         result = evaluate_frames(database, compared(), job.body.faces, device, weights, push)
     if options.keep:
         write_evaluation(database.folder, database.header.key, result)
@@ -229,6 +233,22 @@ def evaluate(options: argparse.Namespace) -> Mapping[str, Any]:
         result["losses_mm"] = mean_losses([frame["reference"]["losses_mm"] for frame in result["frames"]])
         rows += [f"lost by {name.replace('_', ' ')}: {value:.2f} mm RMS" for name, value in result["losses_mm"].items()]
     return {**result, "text": "\n".join(rows)}
+
+
+def _over_coarse(
+    garment: bpy.types.Object, database: WrinkleDatabase, frames: Sequence[int], weights: BlendWeights, device: str
+) -> Iterator[NDArray[np.float32] | None]:
+    """The garment over its coarse layer in every frame, in rig space [m], shape [vertex_count, 3]; None without one."""
+    evaluator, binding = JointWrinkles(database, weights=weights).bind(device), CoarseBinding(database)
+    positions = wp.zeros(evaluator.vertex_count, dtype=wp.vec3, device=device)
+    strengths = {joint.name: 1.0 for joint in database.header.joints}
+    for clip in read_clip(garment, database.header.rig, frames):
+        layer = binding.read(garment, bpy.context.evaluated_depsgraph_get(), evaluator, strict=True)
+        if layer is None:
+            yield None
+            continue
+        layer.evaluate(clip.pose, positions, strengths, clip.rig_to_garment)
+        yield apply(np.linalg.inv(clip.rig_to_garment), positions.numpy().astype(np.float64)).astype(np.float32)
 
 
 def _settled(

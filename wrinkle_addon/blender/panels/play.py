@@ -34,6 +34,7 @@ class WRINKLE_PT_play(GarmentPanel, bpy.types.Panel):
         clearance = row.row()
         clearance.active = settings.clear_of_body
         clearance.prop(settings, "clearance", text="")
+        column.prop(settings, "worn_over")
         column.prop(settings, "viewport_detail")
         if settings.enabled:
             _draw_status(context, layout, garment)
