@@ -240,16 +240,17 @@ class SimulatedSamples:
         self._bodies = bodies
         self._states = Path(folder) / STATES
         self._device, self._batch = device, batch
-        self.wearer = self._make_wearer(1)
+        self._step_counts: dict[Sample, int] = {}
+        self._wearers: dict[int, Wearer] = {}
+        self.wearer = self._wearer_of(1)
 
     def rest(self) -> SampleShape:
         path = self._path("rest")
         if path.exists():
             return self._read(path)
-        wearer = self._wearer_of(1)
         with told_of("The rest pose", self._job.rig, self._job.garment):
-            [report] = wearer.dress()
-        [positions] = wearer.positions
+            [report] = self.wearer.dress()
+        [positions] = self.wearer.positions
         mirror = self._job.plan.mirror
         if mirror is not None:
             # Rounding makes the two sides drift apart; samples of one side stand for the other, so rest must not.
@@ -270,20 +271,33 @@ class SimulatedSamples:
                 wanted = [sample for sample in wanted if sample not in shapes]
 
     def _next_batch(self, wanted: Sequence[Sample]) -> list[Sample]:
-        """Samples that can be simulated side by side now; of several choices the fullest, then the first by plan."""
+        """Samples that can be simulated side by side now: first those that the most others wait for, one after another.
+
+        So the last nodes of the grids, which nothing waits for, are left for full batches.
+        """
+        plan = self._job.plan
+        lacking = self._lacking(wanted)
+        ready = [sample for sample in lacking if plan.parent(sample) not in lacking]
+        if self._batch == 1:
+            return ready[:1]
+        behind = dict.fromkeys(lacking, 0)
+        for sample in reversed(lacking):
+            parent = plan.parent(sample)
+            if parent in behind:
+                behind[parent] = max(behind[parent], behind[sample] + 1)
+        ready.sort(key=lambda sample: -behind[sample])
+        return [sample for sample in ready if self._step_count(sample) == self._step_count(ready[0])][: self._batch]
+
+    def _lacking(self, wanted: Sequence[Sample]) -> dict[Sample, None]:
+        """What must be simulated for these samples, parents before their children."""
         lacking: dict[Sample, None] = {}
         for sample in wanted:
-            line = []
-            ancestor: Sample | None = sample
+            line, ancestor = [], sample
             while ancestor is not None and ancestor not in lacking and not self._is_there(ancestor):
                 line.append(ancestor)
                 ancestor = self._job.plan.parent(ancestor)
             lacking.update(dict.fromkeys(reversed(line)))
-        alike: dict[int, list[Sample]] = {}
-        for sample in lacking:
-            if self._job.plan.parent(sample) not in lacking:
-                alike.setdefault(len(self._fractions(sample)), []).append(sample)
-        return max(alike.values(), key=lambda samples: min(len(samples), self._batch))[: self._batch]
+        return lacking
 
     def _make(self, batch: Sequence[Sample]) -> Iterator[Mapping[Sample, SampleShape]]:
         """Simulate samples side by side. If one fails, one by one: then it is known which, and the others are kept."""
@@ -329,15 +343,20 @@ class SimulatedSamples:
     def _fractions(self, sample: Sample) -> FloatArray:
         return self.wearer.fractions(self._pose(sample, 0.0), self._pose(sample, 1.0))
 
-    def _wearer_of(self, count: int) -> Wearer:
-        """The simulation of so many samples; only the last one is kept, for the memory that it takes."""
-        if self.wearer.simulation.world_count != count:
-            self.wearer = self._make_wearer(count)
-        return self.wearer
+    def _step_count(self, sample: Sample) -> int:
+        if sample not in self._step_counts:
+            self._step_counts[sample] = len(self._fractions(sample))
+        return self._step_counts[sample]
 
-    def _make_wearer(self, count: int) -> Wearer:
-        job = self._job
-        return Wearer(job.rig, job.garment, job.body, self._bodies, job.settings, self._device, count)
+    def _wearer_of(self, count: int) -> Wearer:
+        """The simulation of so many samples: one for each size that batches come in, as a world without work costs
+        as much as one with it."""
+        if count not in self._wearers:
+            job = self._job
+            self._wearers[count] = Wearer(
+                job.rig, job.garment, job.body, self._bodies, job.settings, self._device, count
+            )
+        return self._wearers[count]
 
     def _is_there(self, sample: Sample) -> bool:
         return self._path(sample.name).exists()

@@ -58,16 +58,23 @@ def test_batches_give_the_bytes_of_one_by_one(
     job: BakeJob, character: Doll, one_by_one: Path, tmp_path: Path, batch: int
 ):
     told = list(events(job, character, tmp_path, batch))
-    # The fullest batches first: one of two leaves the way of 2 steps for last, beside a sample or alone.
     assert sorted(event.name for event in told) == sorted(["rest", *NAMES])
     assert [event.done for event in told] == [1, 2, 3, 4, 5] and told[-1].remaining == 0.0
     assert contents(tmp_path) == contents(one_by_one)
 
 
-def test_samples_of_a_batch_take_equally_many_steps(job: BakeJob, character: Doll, tmp_path: Path):
-    source = SimulatedSamples(job, character, tmp_path, batch=16)
-    made = [[sample.name for sample in shapes] for shapes in source.batches(job.plan.samples)]
-    assert made == [["elbow_L-0", "elbow_L-2", "elbow_R-1"], ["elbow_R-2"]]
+@pytest.mark.parametrize(
+    ("batch", "expected"),
+    [
+        (16, [["elbow_R-1", "elbow_L-0", "elbow_L-2"], ["elbow_R-2"]]),
+        (2, [["elbow_R-1", "elbow_L-0"], ["elbow_L-2"], ["elbow_R-2"]]),
+    ],
+)
+def test_samples_of_a_batch_take_equally_many_steps_and_what_others_wait_for_goes_first(
+    job: BakeJob, character: Doll, tmp_path: Path, batch: int, expected: list[list[str]]
+):
+    source = SimulatedSamples(job, character, tmp_path, batch=batch)
+    assert [[sample.name for sample in shapes] for shapes in source.batches(job.plan.samples)] == expected
 
 
 def test_samples_asked_for_in_another_order_come_out_the_same(
