@@ -26,7 +26,6 @@ from .setup import stage_job
 from .verb_options import find_database, find_garment, open_file, say
 from .verbs_setup import choose_plan
 
-
 BATCH_ON_GPU = 16
 """Samples that are simulated side by side on a GPU, which one of them leaves idle; an estimate, see docs/solver.md."""
 
