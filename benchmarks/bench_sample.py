@@ -52,7 +52,7 @@ def measure_sample(outfit: Outfit, *, quick: bool) -> dict[str, Any]:
     node = grid.rest[0] + STEPS_FROM_REST
     start, end = (pose_of_angles(outfit.rig, [grid.joint], {JOINT: grid.at((n,))}) for n in (node - 1, node))
     started = time.perf_counter()
-    rest = wearer.dress()
+    [rest] = wearer.dress()
     rest_seconds = time.perf_counter() - started
     wearer.walk(start)
     wearer.settle()
@@ -64,7 +64,7 @@ def measure_sample(outfit: Outfit, *, quick: bool) -> dict[str, Any]:
         for fraction in wearer.fractions(start, end):
             wearer.follow(Pose(end.matrices) if fraction == 1.0 else _between(outfit, grid, node, float(fraction)))
         walked = time.perf_counter()
-        report = wearer.settle()
+        [report] = wearer.settle()
     seconds = time.perf_counter() - started
     return {
         "vertices": outfit.garment.vertex_count,

@@ -3,7 +3,7 @@
 # pyright: reportMissingImports=false
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -122,6 +122,9 @@ class FoldedSamples:
 
     def rest(self) -> SampleShape:
         return SampleShape(self._job.garment.positions, {"residual": 0.0})
+
+    def batches(self, wanted: Sequence[Sample]) -> Iterator[dict[Sample, SampleShape]]:
+        return ({sample: self.sample(sample)} for sample in wanted)
 
     def sample(self, sample: Sample) -> SampleShape:
         rig, garment = self._job.rig, self._job.garment

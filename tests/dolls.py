@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -148,6 +148,9 @@ class ShapedSamples:
 
     def rest(self) -> SampleShape:
         return SampleShape(self._doll.garment.positions, {"residual": 0.0})
+
+    def batches(self, wanted: Sequence[Sample]) -> Iterator[dict[Sample, SampleShape]]:
+        return ({sample: self.sample(sample)} for sample in wanted)
 
     def sample(self, sample: Sample) -> SampleShape:
         angles = self._plan.angles(sample)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,6 +67,9 @@ class Bumps:
     def rest(self) -> SampleShape:
         # The settled sleeve is a little wider than the modelled one, so that a test can tell one from the other.
         return SampleShape(self.job.garment.positions * [1.0, 1.04, 1.04], {})
+
+    def batches(self, wanted: Sequence[Sample]) -> Iterator[dict[Sample, SampleShape]]:
+        return ({sample: self.sample(sample)} for sample in wanted)
 
     def sample(self, sample: Sample) -> SampleShape:
         return SampleShape(self.shape(self.pose({sample.joint: self.job.plan.angles(sample)})), {})

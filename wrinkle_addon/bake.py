@@ -7,7 +7,7 @@ any moment: what is finished lies in the folder, and the next run goes on from t
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -51,7 +51,9 @@ class SampleSource(Protocol):
 
     def rest(self) -> SampleShape: ...
 
-    def sample(self, sample: Sample) -> SampleShape: ...
+    def batches(self, wanted: Sequence[Sample]) -> Iterator[Mapping[Sample, SampleShape]]:
+        """Every sample that is wanted, parents before their children; those that were made together come together."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +113,7 @@ class BakeEvent:
         name: File or sample that was just finished.
         done: Samples that are finished, rest included.
         total: Samples in all, rest included.
-        seconds: Time this one took [s].
+        seconds: Time this one took, or its share of those that were made together [s].
         remaining: Estimated time for the rest [s].
         report: What its source said of it.
     """
@@ -142,7 +144,7 @@ def bake(
         rest_only: Stop after the rest pose, which every shard needs.
 
     Yields:
-        An event after each finished sample.
+        An event after each finished sample, in the order in which the source makes them.
 
     Raises:
         StorageError: If the folder cannot be written to or the disk is full.
@@ -161,14 +163,18 @@ def bake(
     if rest_only:
         return
     spent = []
-    for count, sample in enumerate(todo, 1):
+    started = time.perf_counter()
+    for shapes in source.batches(todo):
+        share = (time.perf_counter() - started) / len(shapes)
+        for sample, shape in shapes.items():
+            started = time.perf_counter()
+            write_sample(folder, job.header, rest, sample, shape.positions, shape.report)
+            _write_image(job, folder, rest, sample, shape)
+            spent.append(share + time.perf_counter() - started)
+            count = len(spent)
+            remaining = float(np.mean(spent)) * (len(todo) - count)
+            yield BakeEvent(sample.name, done + count, total, spent[-1], remaining, shape.report)
         started = time.perf_counter()
-        shape = source.sample(sample)
-        write_sample(folder, job.header, rest, sample, shape.positions, shape.report)
-        _write_image(job, folder, rest, sample, shape)
-        spent.append(time.perf_counter() - started)
-        remaining = float(np.mean(spent)) * (len(todo) - count)
-        yield BakeEvent(sample.name, done + count, total, spent[-1], remaining, shape.report)
     finish(job, folder)
 
 
@@ -213,52 +219,147 @@ class SimulatedSamples:
     The shape of every sample that others start from is kept in the folder to the bit, so that they come out the same
     from this process or another. Friction needs no memory of its own: a garment that lies still tells it.
 
+    Samples whose parents are there and whose ways from them take equally many steps are simulated side by side, so that
+    none waits for another before it settles. Each comes out the same to the bit alone or beside any others.
+
     Args:
         job: What to bake.
         bodies: The body in any pose.
         folder: The database's folder.
         device: Warp device.
+        batch: How many samples are simulated side by side at most; on a CPU it saves nothing.
+
+    Raises:
+        ValueError: If a batch holds no sample.
     """
 
-    def __init__(self, job: BakeJob, bodies: BodySource, folder: Path | str, device: str = "cpu"):
+    def __init__(self, job: BakeJob, bodies: BodySource, folder: Path | str, device: str = "cpu", batch: int = 1):
+        if batch < 1:
+            raise ValueError(f"A batch holds at least one sample, not {batch}.")
         self._job = job
         self._bodies = bodies
         self._states = Path(folder) / STATES
-        self.wearer = Wearer(job.rig, job.garment, job.body, bodies, job.settings, device)
+        self._device, self._batch = device, batch
+        self._step_counts: dict[Sample, int] = {}
+        self._wearers: dict[int, Wearer] = {}
+        self.wearer = self._wearer_of(1)
 
     def rest(self) -> SampleShape:
         path = self._path("rest")
         if path.exists():
             return self._read(path)
         with told_of("The rest pose", self._job.rig, self._job.garment):
-            report = self.wearer.dress()
-        positions = self.wearer.positions
+            [report] = self.wearer.dress()
+        [positions] = self.wearer.positions
         mirror = self._job.plan.mirror
         if mirror is not None:
             # Rounding makes the two sides drift apart; samples of one side stand for the other, so rest must not.
             positions = 0.5 * (positions + mirror.reflect_garment(positions))
         return self._write(path, SampleShape(positions, report))
 
-    def sample(self, sample: Sample) -> SampleShape:
-        path = self._path(sample.name)
-        if path.exists():
-            return self._read(path)
-        plan, wearer = self._job.plan, self.wearer
-        parent = plan.parent(sample)
+    def batches(self, wanted: Sequence[Sample]) -> Iterator[Mapping[Sample, SampleShape]]:
+        while wanted:
+            # Looked for each time: another process may have made them.
+            there = [sample for sample in wanted if self._is_there(sample)]
+            for sample in there:
+                yield {sample: self._read(self._path(sample.name))}
+            wanted = [sample for sample in wanted if sample not in there]
+            made = self._make(self._next_batch(wanted)) if wanted else ()
+            for shapes in made:
+                if asked := {sample: shape for sample, shape in shapes.items() if sample in wanted}:
+                    yield asked
+                wanted = [sample for sample in wanted if sample not in shapes]
+
+    def _next_batch(self, wanted: Sequence[Sample]) -> list[Sample]:
+        """Samples that can be simulated side by side now: first those that the most others wait for, one after another.
+
+        So the last nodes of the grids, which nothing waits for, are left for full batches.
+        """
+        plan = self._job.plan
+        lacking = self._lacking(wanted)
+        ready = [sample for sample in lacking if plan.parent(sample) not in lacking]
+        if self._batch == 1:
+            return ready[:1]
+        behind = dict.fromkeys(lacking, 0)
+        for sample in reversed(lacking):
+            parent = plan.parent(sample)
+            if parent in behind:
+                behind[parent] = max(behind[parent], behind[sample] + 1)
+        ready.sort(key=lambda sample: -behind[sample])
+        return [sample for sample in ready if self._step_count(sample) == self._step_count(ready[0])][: self._batch]
+
+    def _lacking(self, wanted: Sequence[Sample]) -> dict[Sample, None]:
+        """What must be simulated for these samples, parents before their children."""
+        lacking: dict[Sample, None] = {}
+        for sample in wanted:
+            line, ancestor = [], sample
+            while ancestor is not None and ancestor not in lacking and not self._is_there(ancestor):
+                line.append(ancestor)
+                ancestor = self._job.plan.parent(ancestor)
+            lacking.update(dict.fromkeys(reversed(line)))
+        return lacking
+
+    def _make(self, batch: Sequence[Sample]) -> Iterator[Mapping[Sample, SampleShape]]:
+        """Simulate samples side by side. If one fails, one by one: then it is known which, and the others are kept."""
+        try:
+            shapes = self._simulate(batch)
+        except ValueError:
+            if len(batch) == 1:
+                raise
+        else:
+            yield shapes
+            return
+        failures = []
+        for sample in batch:
+            try:
+                shapes = self._simulate([sample])
+            except ValueError as error:
+                failures.append(error)
+            else:
+                yield shapes
+        if failures:
+            raise failures[0]
+
+    def _simulate(self, batch: Sequence[Sample]) -> dict[Sample, SampleShape]:
+        parents = [self._job.plan.parent(sample) for sample in batch]
+        shapes = [self.rest() if parent is None else self._read(self._path(parent.name)) for parent in parents]
+        wearer = self._wearer_of(len(batch))
+        with told_of(f"Sample {batch[0].name}", self._job.rig, self._job.garment):
+            wearer.begin(np.stack([shape.positions for shape in shapes]), [self._pose(each, 0.0) for each in batch])
+            for fraction in self._fractions(batch[0]):
+                wearer.follow([self._pose(each, float(fraction)) for each in batch])
+            reports = wearer.settle()
+        found = [SampleShape(*each) for each in zip(wearer.positions, reports, strict=True)]
+        return {each: self._write(self._path(each.name), shape) for each, shape in zip(batch, found, strict=True)}
+
+    def _pose(self, sample: Sample, fraction: float) -> Pose:
+        """The pose at a fraction of the way from the parent's to the sample's own."""
+        plan, parent = self._job.plan, self._job.plan.parent(sample)
         end = plan.angles(sample)
         start = np.zeros_like(end) if parent is None else plan.angles(parent)
-        shape = self.rest() if parent is None else self.sample(parent)
+        angles = start + fraction * (end - start)
+        return pose_of_angles(self._job.rig, self._job.header.joints, {sample.joint: angles})
 
-        def pose(fraction: float) -> Pose:
-            angles = start + fraction * (end - start)
-            return pose_of_angles(self._job.rig, self._job.header.joints, {sample.joint: angles})
+    def _fractions(self, sample: Sample) -> FloatArray:
+        return self.wearer.fractions(self._pose(sample, 0.0), self._pose(sample, 1.0))
 
-        with told_of(f"Sample {sample.name}", self._job.rig, self._job.garment):
-            wearer.begin(shape.positions, pose(0.0))
-            for fraction in wearer.fractions(pose(0.0), pose(1.0)):
-                wearer.follow(pose(float(fraction)))
-            report = wearer.settle()
-        return self._write(path, SampleShape(wearer.positions, report))
+    def _step_count(self, sample: Sample) -> int:
+        if sample not in self._step_counts:
+            self._step_counts[sample] = len(self._fractions(sample))
+        return self._step_counts[sample]
+
+    def _wearer_of(self, count: int) -> Wearer:
+        """The simulation of so many samples: one for each size that batches come in, as a world without work costs
+        as much as one with it."""
+        if count not in self._wearers:
+            job = self._job
+            self._wearers[count] = Wearer(
+                job.rig, job.garment, job.body, self._bodies, job.settings, self._device, count
+            )
+        return self._wearers[count]
+
+    def _is_there(self, sample: Sample) -> bool:
+        return self._path(sample.name).exists()
 
     def _path(self, name: str) -> Path:
         return self._states / f"{name}-{self._job.key}{storage.ARRAY_SUFFIX}"

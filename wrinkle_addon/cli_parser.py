@@ -109,6 +109,9 @@ def _add_bake_verbs(add: AddVerb) -> None:
 
     bake = add("bake", "bake, or go on baking", _file(), _garment(), _device())
     bake.add_argument("--shard", metavar="I/N", help="only the I-th of N parts, I from 0 to N-1")
+    bake.add_argument(
+        "--batch", type=int, metavar="N", help="samples simulated side by side at most; left out, 1, on a GPU 16"
+    )
     bake.add_argument("--workers", type=int, default=1, help="processes that share the bake on this machine")
     bake.add_argument("--progress", choices=("text", "json"), default="text")
     bake.add_argument(

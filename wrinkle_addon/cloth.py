@@ -18,15 +18,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..kernels.cloth import assembly
 from .cloth_contact import ContactSearch, ContactSettings, Limbs
-from .cloth_model import ClothModel, FloatArray
-from .cloth_state import ClothState, SettleReport, SolverSettings
-from .divergence import find_divergence, first_lost
+from .cloth_model import ClothModel, FloatArray, IntArray
+from .cloth_state import ClothState, SettleReport, SolverSettings, per_world
+from .divergence import find_divergence
 from .elasticity import Elasticity, upload_garment
 from .linear_solver import BlockSystem
 from .settle_safeguards import SettleSafeguards
-from .surface import BodyVolume, SurfaceMeasures
+from .surface import SurfaceMeasures
 from .time_integration import EarlierStep, step_inertia
-from .untangling import untangle
+from .untangling import untangle_worlds
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -119,6 +119,7 @@ class ClothSimulation:
         if velocities is not None:
             self._velocities.assign(self._per_world(velocities, "velocities"))
         self._contact.forget()
+        self._move_all()
 
     def state(self) -> ClothState:
         return ClothState(
@@ -211,28 +212,28 @@ class ClothSimulation:
         self.untangle()
         self._rest()
 
-    def untangle(self) -> int:
+    def untangle(self) -> IntArray:
         """Draw layers of the garment apart that have passed through each other, but not where the body does, too.
 
-        Returns how many edges pierced triangles in all worlds before; 0 says that nothing has changed.
+        Returns how many edges pierced triangles before, shape [world_count]; where there were 0, nothing has changed.
         """
         if self.contact_settings.self_thickness == 0.0:
-            return 0
+            return np.zeros(self.world_count, np.int32)
         # A third of the thickness a pass, so that no layer is thrown over its neighbour.
         step = self.contact_settings.self_thickness / 3.0
-        positions, body_positions = self.positions, None
-        found = 0
-        for world in range(self.world_count):
-            if len(self._surface.self_crossings(positions[world])[0]):
-                body_positions = self.body_positions if body_positions is None else body_positions
-                body = BodyVolume(body_positions[world], self._body_faces)
-                positions[world], pierced = untangle(positions[world], self._surface, step, body)
-                found += int(pierced[0])
-        if found:
+        positions, found = untangle_worlds(self.positions, self._surface, step, self.body_positions, self._body_faces)
+        if found.any():
             self._positions.assign(positions)
         return found
 
-    def settle(self, tolerance: float = 1.0, max_iterations: int = 60, *, trapped: float = 0.0) -> SettleReport:
+    def settle(
+        self,
+        tolerance: float = 1.0,
+        max_iterations: int = 60,
+        *,
+        trapped: float = 0.0,
+        worlds: NDArray[np.bool_] | None = None,
+    ) -> SettleReport:
         """Go to static equilibrium with the body at rest.
 
         Newton's method with the safeguards of :mod:`.settle_safeguards`.
@@ -242,12 +243,14 @@ class ClothSimulation:
             max_iterations: Bound on the linearisations.
             trapped: Share of the vertices that need not come to rest: cloth caught where limbs of the body cut into
                 each other has no equilibrium, and must not keep the rest waiting.
+            worlds: Which garments settle, shape [world_count]; the others stay where they are. None lets all.
         """
-        safeguards = SettleSafeguards(self.world_count)
-        moving = np.ones(self.world_count, bool)
-        residual = np.full(self.world_count, np.inf)
-        taken = np.ones(self.world_count)
-        iteration = linear_total = 0
+        count = self.world_count
+        safeguards = SettleSafeguards(count)
+        moving = np.ones(count, bool) if worlds is None else worlds.copy()
+        residual, whole, taken = np.full(count, np.inf), np.full(count, np.inf), np.ones(count)
+        iterations, linear_iterations = np.zeros(count, np.int32), np.zeros(count, np.int32)
+        self._moving.assign(moving.astype(np.int32))
         self._rest()
         self._contact.turn(self._positions)
         for iteration in range(max_iterations + 1):
@@ -255,6 +258,8 @@ class ClothSimulation:
             self._set_inertia(self.positions, np.zeros(self.world_count))
             self._evaluate_gradient()
             before, residual = residual, np.where(moving, self._rms_residual(trapped), residual)
+            # Each world's own last one: contact that is looked for again in its place may remember other walls.
+            whole = np.where(moving, self._rms_residual(), whole)
             if iteration:
                 safeguards.judge(before, residual, taken, self._contact.touches())
             # A world that is done must not go on with its neighbours, or its result would depend on them.
@@ -264,16 +269,14 @@ class ClothSimulation:
             self._moving.assign(moving.astype(np.int32))
             self._inverse_dt2.assign(1.0 / safeguards.span**2)
             self._kept.assign(safeguards.kept)
-            iterations, taken = self._newton_step(
+            linear, taken = self._newton_step(
                 safeguards.share, precondition=iteration < YOUNG_ITERATIONS or iteration % PRECONDITIONED == 0
             )
-            linear_total += iterations
-        self._moving.fill_(1)
-        self._kept.zero_()
-        rested = bool(residual.max() <= tolerance)
-        whole = self._rms_residual()
-        self._check_numbers(whole)
-        return SettleReport(float(residual.max()), float(whole.max()), iteration, linear_total, rested)
+            iterations += moving
+            linear_iterations += linear
+        self._move_all()
+        self._check_numbers(whole if worlds is None else whole[worlds])
+        return SettleReport(residual, whole, iterations, linear_iterations, residual <= tolerance)
 
     # Equilibrium
 
@@ -312,6 +315,11 @@ class ClothSimulation:
 
     # Inner workings
 
+    def _move_all(self) -> None:
+        """No world keeps still, as some do in :meth:`settle`."""
+        self._moving.fill_(1)
+        self._kept.zero_()
+
     def _rest(self) -> None:
         """Forget all motion."""
         self._velocities.zero_()
@@ -330,7 +338,9 @@ class ClothSimulation:
         # Only now: a search that overshoots and comes back must not drag the anchors along.
         self._contact.follow(self._positions, self._moving)
 
-    def _newton_step(self, share: FloatArray | float = 1.0, *, precondition: bool = True) -> tuple[int, FloatArray]:
+    def _newton_step(
+        self, share: FloatArray | float = 1.0, *, precondition: bool = True
+    ) -> tuple[IntArray, FloatArray]:
         """One linearisation at the frozen contact and the gradient: conjugate gradients, then the line search.
 
         Args:
@@ -459,19 +469,7 @@ class ClothSimulation:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device)
 
     def _per_world(self, values: ArrayLike, name: str, count: int | None = None) -> FloatArray:
-        """The values for every world, float64, checked."""
-        array = np.asarray(values, np.float64)
-        if array.ndim == 2:
-            array = np.broadcast_to(array, (self.world_count, *array.shape))
-        expected = self.model.vertex_count if count is None else count
-        if array.shape != (self.world_count, expected, 3):
-            raise ValueError(
-                f"{name} must have the shape [{expected}, 3] or [{self.world_count}, {expected}, 3], "
-                f"not {list(np.shape(values))}."
-            )
-        if not np.isfinite(array).all():
-            raise ValueError(f"{name} hold values that are not numbers, first at vertex {first_lost(array)}.")
-        return np.ascontiguousarray(array)
+        return per_world(values, name, self.world_count, self.model.vertex_count if count is None else count)
 
     def _upload_garment(self, pin_stiffness: ArrayLike | None) -> assembly.Garment:
         model = self.model

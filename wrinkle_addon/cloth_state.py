@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .cloth_model import FloatArray, IntArray
+from .divergence import first_lost
 from .time_integration import EarlierStep
 
 
@@ -53,19 +54,37 @@ class ClothState:
 
 @dataclass(frozen=True)
 class SettleReport:
-    """How close to equilibrium a garment came.
+    """How close to equilibrium the garment of each world came; all of shape [world_count].
 
     Attributes:
-        residual: Root mean square of the force left on a vertex, in nodal weights, the worst of all worlds; without
-            the share of vertices that may be trapped.
+        residual: Root mean square of the force left on a vertex, in nodal weights, without the share of vertices that
+            may be trapped; infinite for a world that was left out.
         whole_residual: The same of all vertices.
         iterations: Linearisations taken.
         linear_iterations: Conjugate gradient iterations taken.
         converged: Whether the residual fell below the tolerance asked for.
     """
 
-    residual: float
-    whole_residual: float
-    iterations: int
-    linear_iterations: int
-    converged: bool
+    residual: FloatArray
+    whole_residual: FloatArray
+    iterations: IntArray
+    linear_iterations: IntArray
+    converged: NDArray[np.bool_]
+
+
+def per_world(values: ArrayLike, name: str, world_count: int, count: int) -> FloatArray:
+    """Vectors of every world, shape [world_count, count, 3], of those or of one [count, 3] for all.
+
+    Raises:
+        ValueError: One sentence with this name, if the shape is another or a value is no number.
+    """
+    array = np.asarray(values, np.float64)
+    if array.ndim == 2:
+        array = np.broadcast_to(array, (world_count, *array.shape))
+    if array.shape != (world_count, count, 3):
+        raise ValueError(
+            f"{name} must have the shape [{count}, 3] or [{world_count}, {count}, 3], not {list(np.shape(values))}."
+        )
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} hold values that are not numbers, first at vertex {first_lost(array)}.")
+    return np.ascontiguousarray(array)

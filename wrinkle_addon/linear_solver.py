@@ -12,6 +12,7 @@ from ..kernels.cloth import assembly, coarse, linear
 from .cloth_model import ClothModel
 from .coarse_correction import CoarseCorrection
 from .elasticity import Elasticity
+from .topology import IntArray
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -138,8 +139,8 @@ class BlockSystem:
         if coarse_levels and self._correction is not None:
             self._correction.assemble(positions, self.blocks, self._diagonal)
 
-    def solve(self, gradient: wp.array, moving: wp.array, tolerance: float, max_iterations: int) -> int:
-        """Solve H step = -gradient from zero; returns the largest number of iterations that a world took.
+    def solve(self, gradient: wp.array, moving: wp.array, tolerance: float, max_iterations: int) -> IntArray:
+        """Solve H step = -gradient from zero; returns the iterations that each world took, shape [world_count].
 
         A world whose matrix turns out not to be positive definite keeps the step that it has until then.
 
@@ -157,7 +158,7 @@ class BlockSystem:
             wp.capture_launch(graph)
             if not self._active.numpy().any():
                 break
-        return int(self._iterations.numpy().max())
+        return self._iterations.numpy().copy()
 
     def launch_solve(self, gradient: wp.array, moving: wp.array, tolerance: float, iterations: int) -> None:
         """:meth:`solve` for a caller that records its launches: from what :attr:`solution` holds, without a look at

@@ -54,8 +54,8 @@ class SettledReference:
         wearer.begin(self._rest, Pose.at_rest(wearer.rig))
         for passed in (*through, upright):
             wearer.walk(passed)
-        report = wearer.settle()
-        return ReferenceFrame(wearer.positions @ root[:3, :3].T + root[:3, 3], report)
+        [report], [positions] = wearer.settle(), wearer.positions
+        return ReferenceFrame(positions @ root[:3, :3].T + root[:3, 3], report)
 
 
 @dataclass(frozen=True)
@@ -102,8 +102,8 @@ def simulate_clip(
     dt = 1.0 / (fps * settings.substeps)
     for _ in range(int(np.ceil(settings.pre_roll / dt))):
         wearer.step(poses[0], dt)
-    yield ReferenceFrame(wearer.positions, wearer.lie())
+    yield ReferenceFrame(wearer.positions[0], wearer.lie()[0])
     for before, after in itertools.pairwise(poses):
         for step in range(1, settings.substeps + 1):
             wearer.step(pose_between(rig, before, after, step / settings.substeps), dt)
-        yield ReferenceFrame(wearer.positions, wearer.lie())
+        yield ReferenceFrame(wearer.positions[0], wearer.lie()[0])

@@ -25,6 +25,21 @@ LEAST_SINE = 0.05
 SOFT_PULL = 0.1
 
 
+def untangle_worlds(
+    positions: FloatArray, surface: SurfaceMeasures, step: float, bodies: NDArray[np.float32], body_faces: IntArray
+) -> tuple[FloatArray, IntArray]:
+    """:func:`untangle` for every world, [world_count, vertex_count, 3], on bodies [world_count, body_vertex_count, 3].
+
+    Returns the positions, and how many edges pierced triangles in each world before, shape [world_count].
+    """
+    positions, found = positions.copy(), np.zeros(len(positions), np.int32)
+    for world, garment in enumerate(positions):
+        if len(surface.self_crossings(garment)[0]):
+            positions[world], pierced = untangle(garment, surface, step, BodyVolume(bodies[world], body_faces))
+            found[world] = pierced[0]
+    return positions, found
+
+
 def untangle(
     positions: FloatArray,
     surface: SurfaceMeasures,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -11,6 +12,7 @@ from . import rotations
 from .cloth import STANDARD_GRAVITY, ClothSimulation, ContactSettings, SolverSettings
 from .cloth_contact import Limbs
 from .cloth_model import Fabric, build_cloth_model
+from .cloth_state import SettleReport
 from .divergence import place_of
 from .garment import Body, Garment, bind_to_surface, find_regions
 from .joints import find_joints
@@ -57,6 +59,10 @@ class BakeSettings:
     pin_stiffness: float = 20.0
 
 
+Poses = Pose | Sequence[Pose]
+"""A pose, or one for each world."""
+
+
 class BodySource(Protocol):
     """Whoever knows the body's shape in a pose: Blender's own evaluation, or plain skinning in tests."""
 
@@ -68,7 +74,8 @@ class BodySource(Protocol):
 class Wearer:
     """A simulated garment on a posed body: poses in, settled cloth out.
 
-    Keeps the last pose, so that it can carry the cloth along with the skin to the next one.
+    Keeps the last pose, so that it can carry the cloth along with the skin to the next one. Or ``world_count`` of them
+    side by side: wherever a pose goes in, one for each world may; what comes out is for each world, the one as well.
     """
 
     def __init__(
@@ -79,6 +86,7 @@ class Wearer:
         bodies: BodySource,
         settings: BakeSettings,
         device: str = "cpu",
+        world_count: int = 1,
     ):
         self.rig, self.garment, self.bodies, self.settings = rig, garment, bodies, settings
         model = build_cloth_model(
@@ -89,7 +97,7 @@ class Wearer:
             warp_directions=garment.warp,
             ease=settings.ease,
         )
-        self._pose = Pose.at_rest(rig)
+        self._poses: Sequence[Pose] = [Pose.at_rest(rig)] * world_count
         self._surface = SurfaceMeasures(garment.faces, garment.vertex_count)
         self._body_faces = body.faces
         self.simulation = ClothSimulation(
@@ -100,29 +108,33 @@ class Wearer:
             solver_settings=settings.solver,
             pin_stiffness=garment.pins * settings.pin_stiffness,
             limbs=worn_limbs(rig, garment, body),
+            world_count=world_count,
             device=device,
         )
         self.simulation.set_gravity(rig.gravity * STANDARD_GRAVITY)
 
     @property
     def positions(self) -> FloatArray:
-        """The garment as it lies [m], shape [vertex_count, 3]."""
-        return self.simulation.positions[0]
+        """The garment as it lies [m], shape [world_count, vertex_count, 3]."""
+        return self.simulation.positions
 
-    def dress(self) -> dict[str, Any]:
+    def dress(self) -> list[dict[str, Any]]:
         """Put the modelled garment on in the rest pose and let it settle; reports as :meth:`settle` does."""
         self._place(Pose.at_rest(self.rig))
         self.simulation.start(self.garment.positions)
-        self.simulation.move_body(self.bodies.positions(self._pose))
+        self.simulation.move_body(self._body_positions())
         return self.settle(
             self.settings.rest_tolerance, trapped=0.0, iterations=REST_EFFORT * self.settings.settle_iterations
         )
 
-    def begin(self, positions: FloatArray, pose: Pose) -> None:
-        """Start from a garment that lies still in this pose [m], held by friction."""
+    def begin(self, positions: FloatArray, pose: Poses) -> None:
+        """Start from a garment that lies still in this pose [m], held by friction.
+
+        Shape [vertex_count, 3], or with a leading [world_count].
+        """
         self._place(pose)
         self.simulation.start(positions)
-        self.simulation.move_body(self.bodies.positions(pose))
+        self.simulation.move_body(self._body_positions())
         self.simulation.hold()
 
     def fractions(self, start: Pose, end: Pose) -> FloatArray:
@@ -132,35 +144,38 @@ class Wearer:
         count = max(1, int(np.ceil(largest / self.settings.turn_step - 1e-6)))
         return np.arange(1, count + 1) / count
 
-    def follow(self, pose: Pose) -> None:
+    def follow(self, pose: Poses) -> None:
         """Move the body a small step on; the garment is carried along by its skin and relaxes."""
         carried = self._carried(pose)
         self._place(pose)
-        self.simulation.follow(self.bodies.positions(pose), carried)
+        self.simulation.follow(self._body_positions(), carried)
 
-    def step(self, pose: Pose, dt: float) -> None:
+    def step(self, pose: Poses, dt: float) -> None:
         """Move the body on in time; the garment keeps its momentum."""
         carried = self._carried(pose)
         self._place(pose)
-        self.simulation.step(self.bodies.positions(pose), dt, guess=carried)
+        self.simulation.step(self._body_positions(), dt, guess=carried)
 
-    def _carried(self, pose: Pose) -> FloatArray:
-        """The garment moved along with its skin from the last pose to the next [m], shape [vertex_count, 3]."""
-        before = self._pose.deformations(self.rig)
-        # Each bone's own motion is blended, never the inverse of a blend, which is singular at a large twist.
-        motion = pose.deformations(self.rig) @ np.linalg.inv(before)
-        return self.garment.weights.carry(motion, self.positions)
+    def _carried(self, pose: Poses) -> FloatArray:
+        """The garments moved along with their skin from the last pose to the next [m], shape of :attr:`positions`."""
 
-    def walk(self, pose: Pose) -> None:
-        """Move the body to a pose along every bone's arc, in small steps."""
-        start = self._pose
-        for fraction in self.fractions(start, pose):
-            self.follow(pose if fraction == 1.0 else pose_between(self.rig, start, pose, float(fraction)))
+        def carried(before: Pose, after: Pose, positions: FloatArray) -> FloatArray:
+            # Each bone's own motion is blended, never the inverse of a blend, which is singular at a large twist.
+            motion = after.deformations(self.rig) @ np.linalg.inv(before.deformations(self.rig))
+            return self.garment.weights.carry(motion, positions)
+
+        return np.stack([*map(carried, self._poses, self._per_world(pose), self.positions)])
+
+    def walk(self, pose: Poses) -> None:
+        """Move the body to a pose along every bone's arc, in small steps; as many as the longest way needs."""
+        ways = [*zip(self._poses, self._per_world(pose), strict=True)]
+        for fraction in max((self.fractions(*way) for way in ways), key=len):
+            self.follow([e if fraction == 1.0 else pose_between(self.rig, s, e, float(fraction)) for s, e in ways])
 
     def settle(
         self, tolerance: float | None = None, trapped: float | None = None, iterations: int | None = None
-    ) -> dict[str, Any]:
-        """Bring the garment to equilibrium; reports how close it came and how it lies.
+    ) -> list[dict[str, Any]]:
+        """Bring the garment to equilibrium; reports for each world how close it came and how it lies.
 
         Where it has passed through itself it is drawn apart and settles again, a few times at most.
 
@@ -173,31 +188,46 @@ class Wearer:
         tolerance = settings.settle_tolerance if tolerance is None else tolerance
         trapped = settings.trapped if trapped is None else trapped
         iterations = settings.settle_iterations if iterations is None else iterations
-        reports = [self.simulation.settle(tolerance, iterations, trapped=trapped)]
-        while len(reports) <= UNTANGLINGS and self.simulation.untangle():
-            reports.append(self.simulation.settle(tolerance, iterations, trapped=trapped))
+        simulation = self.simulation
+        told: list[dict[str, Any]] = [{} for _ in self._poses]
+        settling = np.ones(len(told), bool)
+        rounds: list[SettleReport] = []
+        while settling.any():
+            rounds.append(simulation.settle(tolerance, iterations, trapped=trapped, worlds=settling))
+            tangled = settling & (simulation.untangle() > 0) if len(rounds) <= UNTANGLINGS else np.zeros_like(settling)
+            # A world that is done is told of before its neighbours go on.
+            for world in np.flatnonzero(settling & ~tangled):
+                told[world] = {**self._effort(rounds, world), **self._lie(world)}
+            settling = tangled
+        return told
+
+    def _effort(self, rounds: Sequence[SettleReport], world: int) -> dict[str, Any]:
+        """What it took one world to settle, from one untangling to the next, and how close it came."""
+        last = rounds[-1]
         return {
-            "residual": round(reports[-1].residual, 4),
-            "whole_residual": round(reports[-1].whole_residual, 4),
-            "converged": reports[-1].converged,
-            "iterations": sum(report.iterations for report in reports),
-            "linear_iterations": sum(report.linear_iterations for report in reports),
-            "untanglings": len(reports) - 1,
-            **({} if reports[-1].converged else {"restless": self._restless()}),
-            **self.lie(),
+            "residual": round(float(last.residual[world]), 4),
+            "whole_residual": round(float(last.whole_residual[world]), 4),
+            "converged": bool(last.converged[world]),
+            "iterations": int(sum(each.iterations[world] for each in rounds)),
+            "linear_iterations": int(sum(each.linear_iterations[world] for each in rounds)),
+            "untanglings": len(rounds) - 1,
+            **({} if last.converged[world] else {"restless": self._restless(world)}),
         }
 
-    def _restless(self) -> str:
+    def _restless(self, world: int) -> str:
         """Where the largest force is left."""
-        force = np.linalg.norm(self.simulation.residual()[0], axis=1)
+        force = np.linalg.norm(self.simulation.residual()[world], axis=1)
         return place_of(self.rig, self.garment, int(force.argmax()))
 
-    def lie(self) -> dict[str, Any]:
-        """How the garment lies: vertices more than 1 mm inside the body, the deepest [mm], pairs of its triangles that
+    def lie(self) -> list[dict[str, Any]]:
+        """How each garment lies: vertices more than 1 mm inside the body, the deepest [mm], pairs of its triangles that
         intersect. Those where the body cuts into itself, so that no place is free, are counted apart ("overlap").
         """
-        positions, limit = self.positions, 0.001
-        body = BodyVolume(self.simulation.body_positions[0], self._body_faces)
+        return [self._lie(world) for world in range(len(self._poses))]
+
+    def _lie(self, world: int) -> dict[str, Any]:
+        positions, limit = self.positions[world], 0.001
+        body = BodyVolume(self.simulation.body_positions[world], self._body_faces)
         depth, overlap = body.depth(positions, limit)
         pairs = self._surface.self_intersections(positions)
         _, between = body.depth(positions[self.garment.faces[pairs]].mean((1, 2)), limit)
@@ -209,12 +239,21 @@ class Wearer:
             "self_intersections_overlap": int(between.sum()),
         }
 
-    def _place(self, pose: Pose) -> None:
+    def _place(self, pose: Poses) -> None:
         """Turn what goes with the skin: the outward directions and the pins."""
-        self._pose = pose
-        turns = self.garment.weights.turn(pose.turns(self.rig))
-        self.simulation.set_outward(rotations.rotate(turns, self.garment.normals))
-        self.simulation.place_pins(self.garment.weights.carry(pose.deformations(self.rig), self.garment.positions))
+        garment, weights = self.garment, self.garment.weights
+        self._poses = poses = self._per_world(pose)
+        outward = [rotations.rotate(weights.turn(each.turns(self.rig)), garment.normals) for each in poses]
+        pins = [weights.carry(each.deformations(self.rig), garment.positions) for each in poses]
+        self.simulation.set_outward(np.stack(outward))
+        self.simulation.place_pins(np.stack(pins))
+
+    def _body_positions(self) -> FloatArray:
+        """The body in every world's pose [m], shape [world_count, body_vertex_count, 3]."""
+        return np.stack([self.bodies.positions(pose) for pose in self._poses])
+
+    def _per_world(self, pose: Poses) -> Sequence[Pose]:
+        return [pose] * len(self._poses) if isinstance(pose, Pose) else pose
 
 
 def worn_limbs(rig: Rig, garment: Garment, body: Body) -> Limbs:

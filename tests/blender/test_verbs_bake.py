@@ -71,7 +71,7 @@ def test_shards_are_merged_to_the_bytes_of_one_bake(wrinkle, arm: Path, whole: P
     assert (
         "is not finished; run the bake again" in wrinkle("synthesize", arm, "--out", arm.with_suffix(".pc2")).complaint
     )
-    second = wrinkle("bake", arm, "--shard", "0/2", "--json")
+    second = wrinkle("bake", arm, "--shard", "0/2", "--batch", 3, "--json")
     assert second.code == 0 and second.result["complete"]
     (folder / "manifest.json").unlink()
     assert wrinkle("merge", folder).code == 0
@@ -80,7 +80,7 @@ def test_shards_are_merged_to_the_bytes_of_one_bake(wrinkle, arm: Path, whole: P
 
 
 def test_workers_give_the_bytes_of_one_process(wrinkle, arm: Path, whole: Path) -> None:
-    outcome = wrinkle("bake", arm, "--workers", 2)
+    outcome = wrinkle("bake", arm, "--workers", 2, "--batch", 2)
     assert outcome.code == 0, outcome.errors
     assert contents(arm.with_name("sleeve.wrinkles")) == contents(whole)
     assert "[5/5]" in outcome.errors, "three samples, and the rest pose known to both workers"
@@ -142,6 +142,7 @@ def test_a_character_in_centimetres_is_baked_in_metres(wrinkle, tmp_path: Path, 
         (("--device", "cuda:77"), "no device 'cuda:77' here; there is cpu"),
         (("--shard", "2/2"), "no shard '2/2'"),
         (("--shard", "half"), "such as 0/4, not 'half'"),
+        (("--batch", "0"), "at least one sample, not 0"),
         (("--garment", "hat"), "no garment 'hat'; its meshes: body, sleeve"),
     ],
 )

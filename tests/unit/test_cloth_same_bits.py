@@ -104,7 +104,7 @@ class ShiftedSleeves:
         )
 
     def run(self, samples, simulation=None):
-        """Simulate these samples side by side; returns iterations to settle and, for each, the arrays of its state."""
+        """Simulate these samples side by side; returns iterations to settle and, for each, its report and state."""
         bodies = np.stack([self.body + np.array([0.0, self.shifts[k], 0.0]) for k in samples])
         simulation = simulation or self.simulation(len(samples))
         simulation.move_body(bodies)
@@ -117,10 +117,10 @@ class ShiftedSleeves:
         simulation.step(bodies, 1.0 / 60.0)
         simulation.step(bodies, 1.0 / 60.0)
         state = simulation.state()
-        arrays = [state.positions, state.velocities, state.anchor_faces, state.anchor_weights]
+        arrays = [*vars(report).values(), state.positions, state.velocities, state.anchor_faces, state.anchor_weights]
         if state.earlier:
             arrays += [state.earlier.positions, state.earlier.velocities]
-        return report.iterations, {k: [a[i] for a in arrays] for i, k in enumerate(samples)}
+        return tuple(report.iterations), {k: [a[i] for a in arrays] for i, k in enumerate(samples)}
 
 
 def same(first, second):
@@ -136,6 +136,28 @@ def test_a_sample_depends_neither_on_its_neighbours_nor_on_their_order(device, o
         _iterations, together = sleeves.run(batch)
         for k in batch:
             assert same(together[k], alone[k][1][k])
+
+
+def test_worlds_that_are_left_out_of_settling_stay_as_they_are_to_the_bit(device):
+    sleeves = ShiftedSleeves(device)
+    together, alone = sleeves.simulation(2), sleeves.simulation(1)
+    for simulation, samples in ((together, [1, 2]), (alone, [2])):
+        simulation.move_body(np.stack([sleeves.body + np.array([0.0, sleeves.shifts[k], 0.0]) for k in samples]))
+        simulation.place_pins(sleeves.rest)
+        simulation.start(sleeves.rest)
+    report = together.settle(0.5, 40, worlds=np.array([False, True]))
+    expected = alone.settle(0.5, 40)
+    assert same([values[1] for values in vars(report).values()], [values[0] for values in vars(expected).values()])
+    assert np.array_equal(together.positions, [sleeves.rest, alone.positions[0]])
+    assert report.iterations[0] == 0 and not report.converged[0]
+    # The one left out settles afterwards as if nothing had been.
+    report = together.settle(0.5, 40, worlds=np.array([True, False]))
+    first = sleeves.simulation(1)
+    first.move_body(sleeves.body + np.array([0.0, sleeves.shifts[1], 0.0]))
+    first.place_pins(sleeves.rest)
+    first.start(sleeves.rest)
+    assert report.residual[0] == first.settle(0.5, 40).residual[0]
+    assert np.array_equal(together.positions, [first.positions[0], alone.positions[0]])
 
 
 def test_a_sample_does_not_depend_on_those_simulated_before_it(device):

@@ -26,6 +26,9 @@ from .setup import stage_job
 from .verb_options import find_database, find_garment, open_file, say
 from .verbs_setup import choose_plan
 
+BATCH_ON_GPU = 16
+"""Samples that are simulated side by side on a GPU, which one of them leaves idle; an estimate, see docs/solver.md."""
+
 
 def plan(options: argparse.Namespace) -> Mapping[str, Any]:
     """What a bake would make and cost; with another plan than the garment's own, if one is asked for."""
@@ -79,7 +82,7 @@ def bake(options: argparse.Namespace) -> Mapping[str, Any]:
     with sampling_stage(garment.wrinkles.armature, garment.wrinkles.body) as stage:
         job = stage_job(garment, stage)
         _check_folder(folder, job)
-        source = SimulatedSamples(job, stage, folder, device)
+        source = SimulatedSamples(job, stage, folder, device, _batch(options.batch, device))
         shared = options.workers > 1 and shard == (0, 1) and len(job.plan.simulated) >= options.workers
         # All workers start from the same rest pose.
         for event in bake_samples(job, source, folder, shard=shard, rest_only=shared):
@@ -125,6 +128,13 @@ def _shard(text: str | None) -> tuple[int, int]:
     return number, count
 
 
+def _batch(count: int | None, device: str) -> int:
+    """How many samples are simulated side by side: a CPU takes as long for each of them as for one alone."""
+    if count is not None:
+        return count
+    return BATCH_ON_GPU if device.startswith("cuda") else 1
+
+
 def _reporter(kind: str) -> Callable[[BakeEvent], None]:
     def as_json(event: BakeEvent) -> None:
         remaining = None if math.isnan(event.remaining) else round(event.remaining, 1)
@@ -164,11 +174,12 @@ def _share(
 ) -> None:
     """Bake in several processes, one shard each."""
     file = str(options.file or bpy.data.filepath)
+    batch = () if options.batch is None else ("--batch", str(options.batch))
     run_workers(
         [
             own_command(
                 "bake", file, "--garment", garment.name, "--database", str(folder), "--device", options.device,
-                "--shard", f"{number}/{options.workers}", "--progress", "json",
+                "--shard", f"{number}/{options.workers}", *batch, "--progress", "json",
             )
             for number in range(options.workers)
         ],

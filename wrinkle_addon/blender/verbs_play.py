@@ -161,11 +161,11 @@ def _simulated(
     wearer = Wearer(job.rig, job.garment, job.body, WorldBodies(stage), job.settings, device)
     if rest is None:
         wearer.dress()
-        rest = wearer.positions
+    first = wearer.positions[0] if rest is None else rest
     fps = bpy.context.scene.render.fps / bpy.context.scene.render.fps_base
     poses = [clip.in_world() for clip in clips]
     down = np.array([0.0, 0.0, -1.0])
-    for clip, shape in zip(clips, simulate_clip(wearer, rest, poses, down, fps, settings), strict=True):
+    for clip, shape in zip(clips, simulate_clip(wearer, first, poses, down, fps, settings), strict=True):
         yield apply(np.linalg.inv(clip.rig_to_world), shape.positions), shape.report
 
 
