@@ -35,7 +35,7 @@ LOST_SHARE = 0.05
 COUNT_SHARE = 0.1
 """Where the number of components is given, what rounding adds to the mean square error that they leave."""
 
-COEFFICIENT_STEP = 0.25
+COEFFICIENT_STEP = 0.1
 """Step of coefficients, by what it moves the garment on average, over the step of the shapes: what it adds is small."""
 
 FINEST_STEP = 1.0e-6
@@ -187,7 +187,6 @@ class _Carried:
     poses: list[Pose]
     hierarchy: VertexHierarchy
     origin: FloatArray
-    lattice: IntArray
     weight_codes: IntArray
     rest: FloatArray
     weights: SkinWeights
@@ -198,13 +197,12 @@ class _Carried:
         bones = np.flatnonzero(dense.any(0))
         origin, lattice = encode_rest(source.rest)
         hierarchy = VertexHierarchy(lattice)
-        codes, _ = hierarchy.quantise(dense[:, bones].astype(np.float32), WEIGHT_UNIT)
+        codes, _ = hierarchy.quantise(dense[:, bones].astype(np.float32), WEIGHT_UNIT, finer=1.0)
         return _Carried(
             rig_of_bones(source.rig, bones),
             [Pose(pose.matrices[bones]) for pose in source.poses],
             hierarchy,
             origin,
-            lattice,
             codes,
             decode_rest(origin, lattice),
             decode_weights(hierarchy, codes),
@@ -309,14 +307,14 @@ class _Search:
         rounded = np.round(wanted / steps).astype(np.int64)
         code = FlowCode(
             body.origin,
-            body.lattice,
+            body.hierarchy,
             body.weight_codes,
             codes,
             step,
             np.diff(rounded, axis=0, prepend=0).astype(np.int32),
             steps,
         )
-        flow = decode_flow(self._header, body.rig, code, body.hierarchy)
+        flow = decode_flow(self._header, body.rig, code)
         return self._measured(code, flow)
 
     def _measured(self, code: FlowCode, flow: Flow) -> Compressed:
@@ -357,7 +355,7 @@ class _Search:
             return 0, error
         small = np.zeros((self._residuals.frame_count, count), np.int32)
         body = self._body
-        code = FlowCode(body.origin, body.lattice, body.weight_codes, codes, step, small, np.ones(count))
+        code = FlowCode(body.origin, body.hierarchy, body.weight_codes, codes, step, small, np.ones(count))
         return code.size + 3 * small.size // 2, error
 
 
