@@ -99,6 +99,7 @@ class FlowHeader:
         skinning, space: How residuals were taken.
         rms_mm, max_mm: Errors that no replay at recorded frames goes beyond, over the clip and of any vertex [mm].
         about: What else is worth telling: the recording's name, the weights' source.
+        curve: Bytes and root mean square error [mm] of other flows of this recording, as estimated; coarse first.
     """
 
     garment: str
@@ -109,6 +110,7 @@ class FlowHeader:
     rms_mm: float
     max_mm: float
     about: Mapping[str, Any]
+    curve: tuple[tuple[int, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,6 +259,7 @@ def write_flow(path: Path, header: FlowHeader, rig: Rig, code: FlowCode) -> int:
         "rms_mm": header.rms_mm,
         "max_mm": header.max_mm,
         "about": dict(header.about),
+        "curve": [[size, error] for size, error in header.curve],
         "bones": list(rig.names),
         "vertices": len(code.hierarchy.lattice),
         "frames": len(code.coefficients),
@@ -325,6 +328,7 @@ def _decode(arrays: Mapping[str, NDArray[Any]], data: Mapping[str, Any]) -> Flow
         _number(data["rms_mm"]),
         _number(data["max_mm"]),
         dict(data["about"]),
+        tuple((int(size), _number(error)) for size, error in data["curve"]),
     )
     flow = decode_flow(header, rig, code)
     if not np.isfinite(flow.shapes).all() or not np.isfinite(flow.coefficients).all():

@@ -11,9 +11,13 @@ import pytest
 from small_character import Arm, build_arm, empty_scene, evaluated_positions
 from wrinkle_synthesis.wrinkle_addon import cli
 from wrinkle_synthesis.wrinkle_addon.blender import playback
+from wrinkle_synthesis.wrinkle_addon.blender.flow_compression import READING, compression
 from wrinkle_synthesis.wrinkle_addon.blender.flow_playback import FlowPlayer
+from wrinkle_synthesis.wrinkle_addon.blender.flow_recording import SCENE, RecordingChoice
 from wrinkle_synthesis.wrinkle_addon.blender.handlers import suspended
 from wrinkle_synthesis.wrinkle_addon.blender.write import show_skinned
+from wrinkle_synthesis.wrinkle_addon.flow_compress import Goal
+from wrinkle_synthesis.wrinkle_addon.flow_file import read_flow
 from wrinkle_synthesis.wrinkle_addon.pc2 import PointCache, write_pc2
 
 FRAMES = range(3, 15)
@@ -149,6 +153,36 @@ def test_a_saved_file_plays_again_and_saves_the_skinned_shape(arm: Arm, tmp_path
     assert np.array_equal(evaluated_positions(bpy.data.objects["sleeve"]), shown)
 
 
+def test_compressing_may_be_stopped_between_any_two_steps_and_leaves_nothing(arm: Arm, tmp_path: Path) -> None:
+    out, scene = tmp_path / "sleeve.flow", bpy.context.scene
+    scene.frame_set(7)
+    playing = len(bpy.app.handlers.frame_change_post)
+    choice = RecordingChoice(SCENE, FRAMES)
+    shares = []
+    steps = compression(arm.sleeve, choice, Goal(rms_mm=ERROR), out)
+    for share, text in steps:
+        shares.append(share)
+        assert text or share >= READING
+    assert shares == sorted(shares)
+    assert len([share for share in shares if share <= READING]) >= 2 * len(FRAMES)
+    assert out.exists()
+    out.unlink()
+    for count in (1, 5, len(FRAMES) + 3, 2 * len(FRAMES) + 1):
+        steps = compression(arm.sleeve, choice, Goal(rms_mm=ERROR), out)
+        for _ in range(count):
+            next(steps)
+        steps.close()
+        assert scene.frame_current == 7
+        assert len(bpy.app.handlers.frame_change_post) == playing
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_the_file_tells_what_other_errors_would_cost(arm: Arm, tmp_path: Path) -> None:
+    sizes, errors = zip(*read_flow(compress(tmp_path)).header.curve, strict=True)
+    assert sorted(sizes) == list(sizes)
+    assert sorted(errors, reverse=True) == list(errors)
+
+
 def test_switching_the_replay_off_goes_back_to_the_database_s_ways(arm: Arm, tmp_path: Path) -> None:
     compress(tmp_path)
     arm.sleeve.wrinkles.flow.replays = False
@@ -179,7 +213,7 @@ def test_another_mesh_another_rig_and_a_damaged_file_are_said(arm: Arm, tmp_path
     path.write_bytes(whole)
     assert error_of(arm) == ""
     arm.armature.data.bones["lower"].name = "forearm"
-    assert "has lost the bone 'lower'" in error_of(arm)
+    assert "has lost the bone 'lower'; undo the change or compress the recording again" in error_of(arm)
     arm.armature.data.bones["forearm"].name = "lower"
     other = bpy.data.meshes.new("other")
     other.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])

@@ -19,7 +19,7 @@ from ..rig import FloatArray, Pose
 from . import playback
 from .armature import PoseReader, rig_scale
 from .flow_recording import mesh_topology
-from .matching import match_rig
+from .matching import RECORDING, match_rig
 from .preferences import device_name
 from .write import make_writable, show_positions
 
@@ -101,7 +101,7 @@ class FlowPlayer(playback.Player):
         self.doubt()
         check_flow_mesh(garment, self.flow.header.topology, self.flow.vertex_count)
         armature = garment.wrinkles.armature
-        self._scale = match_rig(armature, self.flow)
+        self._scale = match_rig(armature, self.flow, RECORDING)
         self._reader = PoseReader(armature, self.flow.rig)
         self._to_bake = self._scale / rig_scale(armature)
         self._checked = glance
