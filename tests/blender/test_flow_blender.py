@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from small_character import Arm, build_arm, empty_scene, evaluated_positions
+from small_character import Arm, build_arm, empty_scene, evaluated_positions, heights
 from wrinkle_synthesis.wrinkle_addon import cli
 from wrinkle_synthesis.wrinkle_addon.blender import playback
 from wrinkle_synthesis.wrinkle_addon.blender.flow_compression import READING, compression
@@ -190,6 +190,27 @@ def test_switching_the_replay_off_goes_back_to_the_database_s_ways(arm: Arm, tmp
         pass
     playback.play_scene(bpy.context.scene, bpy.context.evaluated_depsgraph_get())
     assert "has no database" in playback.status(arm.sleeve).error
+
+
+def test_a_replay_is_pushed_out_of_the_body_where_that_is_asked_for(arm: Arm, tmp_path: Path) -> None:
+    compress(tmp_path)
+    folds_off(arm)
+    settings = arm.sleeve.wrinkles
+    bpy.context.scene.frame_set(14)
+    # Exaggerated, the folds go through the arm.
+    settings.strength = 3.0
+    through = evaluated_positions(arm.sleeve)
+    assert heights(arm).min() < -0.003
+    settings.flow.clear_of_body = True
+    bpy.context.view_layer.update()
+    # The clearance of 3 mm, less half of the softness, and less what the arm's facets of 20 mm make of it.
+    assert heights(arm).min() > 0.0015
+    arm.sleeve.wrinkles.body.hide_viewport = True
+    bpy.context.view_layer.update()
+    player = playback.status(arm.sleeve).player
+    assert isinstance(player, FlowPlayer)
+    assert "is hidden. The garment 'sleeve' plays without being kept clear of it." in player.note
+    assert np.array_equal(evaluated_positions(arm.sleeve), through)
 
 
 # --- what does not fit --------------------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ class WRINKLE_PT_flow(WrinklePanel, bpy.types.Panel):
         column = layout.column()
         column.use_property_split = True
         column.active = settings.replays
-        for name in ("offset", "speed", "ends"):
+        for name in ("offset", "speed", "ends", "clear_of_body"):
             column.prop(settings, name)
         column.label(text="Replays what was recorded;", icon="INFO")
         column.label(text="does not react to other motion.", icon="BLANK1")
