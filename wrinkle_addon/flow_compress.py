@@ -30,7 +30,7 @@ from .rig import FloatArray, IntArray, Pose, Rig
 from .steps import Progress
 from .vertex_hierarchy import VertexHierarchy
 
-LOST_SHARE = 0.05
+LOST_SHARE = 0.15
 """Share of the mean square error that left out components take; rounding takes the rest, which saves more bytes."""
 
 COUNT_SHARE = 0.1
