@@ -129,14 +129,14 @@ def recorded(options: Options) -> tuple[FlowSource, Any]:
         wrinkle_synthesis.register()
     from wrinkle_synthesis.wrinkle_addon.blender.flow_recording import RecordingChoice, read_source
     from wrinkle_synthesis.wrinkle_addon.blender.handlers import suspended
+    from wrinkle_synthesis.wrinkle_addon.steps import finish
 
     if options.scene is not None and options.recording is not None:
         bpy.ops.wm.open_mainfile(filepath=str(options.scene), load_ui=False)
         garment = next(ob for ob in bpy.data.objects if ob.type == "MESH" and ob.wrinkles.armature is not None)
         with suspended():
-            return read_source(
-                garment, RecordingChoice(str(options.recording), range(0)), lambda share, text: None
-            ), garment
+            steps = read_source(garment, RecordingChoice(str(options.recording), range(0)))
+            return finish(steps, lambda share, text: None), garment
     from stage import open_stage
 
     stage = open_stage(dress([SHELL], 0) if options.quick else dress(["shirt"], 12_000))

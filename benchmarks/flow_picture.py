@@ -55,7 +55,7 @@ def draw_shapes(source: FlowSource, made: Compressed, faces: IntArray, path: Pat
     up = -source.rig.gravity
     right = np.array([1.0, 0.0, 0.0]) - up[0] * up
     axes = np.stack([right / np.linalg.norm(right), up, np.cross(right / np.linalg.norm(right), up)], 1)
-    figure, places = pyplot.subplots(1, 4, figsize=(13, 3.3), sharex=True, sharey=True)
+    figure, places = pyplot.subplots(1, 4, figsize=(13, 4.6), sharex=True, sharey=True)
     for place, (name, positions) in zip(places, shapes.items(), strict=True):
         _shade(place, positions @ axes, faces)
         place.set_title(name, fontsize=10)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import bpy
 
-from ..wrinkle_addon.blender.files import check_output
-from ..wrinkle_addon.blender.flow_recording import SCENE, RecordingChoice, read_source
-from ..wrinkle_addon.blender.handlers import suspended
+from ..wrinkle_addon.blender import playback
+from ..wrinkle_addon.blender.flow_compression import compression
+from ..wrinkle_addon.blender.flow_recording import SCENE, RecordingChoice
 from ..wrinkle_addon.blender.properties import active_garment
-from ..wrinkle_addon.flow_compress import Goal, compress
-from ..wrinkle_addon.flow_file import SUFFIX, write_flow
+from ..wrinkle_addon.flow_compress import Compressed, Goal
+from ..wrinkle_addon.flow_file import SUFFIX
+from ..wrinkle_addon.steps import describe_left, finish
 
 
 class WRINKLE_OT_compress_flow(bpy.types.Operator):
@@ -67,32 +69,64 @@ class WRINKLE_OT_compress_flow(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        """Step by step in the window, until it is done or Esc is pressed; to the end where there is none."""
         garment = active_garment(context)
         assert garment is not None
-        manager = context.window_manager
-        manager.progress_begin(0.0, 1.0)
         try:
             out = Path(bpy.path.abspath(self.filepath))
-            check_output(out, SUFFIX)
-            if garment.data.is_editmode:
-                raise ValueError("Leave edit mode first: what is edited cannot be recorded.")
-            with suspended():
-                source = read_source(
-                    garment, self._choice(context), lambda share, text: manager.progress_update(0.2 * share)
-                )
-                made = compress(
-                    source, self._goal(), progress=lambda share, text: manager.progress_update(0.2 + 0.8 * share)
-                )
-            size = write_flow(out, made.header, made.rig, made.code)
+            steps = compression(garment, self._choice(context), self._goal(), out)
+            if bpy.app.background:
+                return self._finish(garment, out, finish(steps, lambda share, text: None))
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        finally:
-            manager.progress_end()
+        self._steps, self._out, self._garment = steps, out, garment.session_uid
+        self._began = time.monotonic()
+        self._timer = context.window_manager.event_timer_add(0.0, window=context.window)
+        context.window_manager.progress_begin(0.0, 1.0)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type == "ESC":
+            self.cancel(context)
+            self.report({"INFO"}, "Compressing stopped; no file was written.")
+            return {"CANCELLED"}
+        # Until it is done the scene's frames are gone through, so that nothing else may happen.
+        if event.type != "TIMER":
+            return {"RUNNING_MODAL"}
+        try:
+            share, text = next(self._steps)
+        except StopIteration as end:
+            self.cancel(context)
+            garment = next((ob for ob in bpy.data.objects if ob.session_uid == self._garment), None)
+            return {"FINISHED"} if garment is None else self._finish(garment, self._out, end.value)
+        except ValueError as error:
+            self.cancel(context)
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        left = describe_left(share, time.monotonic() - self._began)
+        context.workspace.status_text_set(f"Compressing the recording: {100 * share:.0f} %, {text}{left}. Esc stops.")
+        context.window_manager.progress_update(share)
+        return {"RUNNING_MODAL"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Leave nothing running and nothing behind; also called when another file is opened."""
+        self._steps.close()
+        context.window_manager.event_timer_remove(self._timer)
+        context.window_manager.progress_end()
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
+
+    def _finish(self, garment: bpy.types.Object, out: Path, made: Compressed) -> set[str]:
+        """Show what was compressed."""
+        playback.forget(garment)
         garment.wrinkles.flow.path = bpy.path.relpath(str(out)) if bpy.data.filepath else str(out)
         garment.wrinkles.flow.replays = True
         garment.wrinkles.enabled = True
-        self.report({"INFO"}, f"{size / 1e6:.3g} MB written to {out}, error {made.rms_mm:.3g} mm.")
+        self.report({"INFO"}, f"{out.stat().st_size / 1e6:.3g} MB written to {out}, error {made.rms_mm:.3g} mm.")
+        if made.note:
+            self.report({"WARNING"}, made.note)
         return {"FINISHED"}
 
     def _choice(self, context: bpy.types.Context) -> RecordingChoice:

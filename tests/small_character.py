@@ -15,7 +15,7 @@ from wrinkle_synthesis.wrinkle_addon.blender.armature import apply_motion, read_
 from wrinkle_synthesis.wrinkle_addon.blender.character import apply, read_garment, rig_from_world
 from wrinkle_synthesis.wrinkle_addon.blender.setup import bind_to_armature
 from wrinkle_synthesis.wrinkle_addon.database import skin_frame
-from wrinkle_synthesis.wrinkle_addon.garment import Body
+from wrinkle_synthesis.wrinkle_addon.garment import Body, bind_to_surface
 from wrinkle_synthesis.wrinkle_addon.plan import JointGrid, Sample, SamplePlan
 from wrinkle_synthesis.wrinkle_addon.rig import FloatArray, Joint, Pose, Rig, pose_of_angles
 from wrinkle_synthesis.wrinkle_addon.wearer import BakeSettings
@@ -219,3 +219,15 @@ def evaluated_positions(ob: bpy.types.Object) -> FloatArray:
     positions = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.attributes["position"].data.foreach_get("vector", positions)
     return positions.reshape(-1, 3)
+
+
+def heights(arm: Arm) -> np.ndarray:
+    """Height of the sleeve over the arm as both are shown, in their own space."""
+    body = arm.sleeve.wrinkles.body
+    mesh = body.data
+    mesh.calc_loop_triangles()
+    faces = np.array([triangle.vertices[:] for triangle in mesh.loop_triangles], np.int32)
+    points = evaluated_positions(arm.sleeve).astype(np.float64)
+    to_body = np.array(body.matrix_world.inverted() @ arm.sleeve.matrix_world)
+    points = points @ to_body[:3, :3].T + to_body[:3, 3]
+    return bind_to_surface(points, evaluated_positions(body).astype(np.float64), faces).distance

@@ -7,7 +7,7 @@ span the SVD is small. A clip of few frames needs no mixing: then it is exact.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from .flow_residuals import Residuals
 from .rig import FloatArray
+from .steps import Progress
 
 OVERSAMPLING = 10
 """Mixtures beyond the components asked for."""
@@ -29,9 +30,6 @@ SEED = 20100612
 FIRST_WIDTH = 128
 """Mixtures of a long clip to begin with; twice as many if they turn out too few."""
 
-Progress = Callable[[float, str], None]
-"""Told what share is done, and what is being done."""
-
 
 @dataclass(frozen=True, eq=False)
 class Components:
@@ -43,18 +41,23 @@ class Components:
             vertex_count, 3].
         energies: Mean square displacement by each component [m^2], shape [component_count].
         total: Mean square residual about the mean [m^2]; what the components leave of it is lost.
-        largest: Longest residual [m].
+        frame_squares: Mean square residual of every frame [m^2], shape [frame_count].
     """
 
     mean: NDArray[np.float32]
     shapes: NDArray[np.float32]
     energies: FloatArray
     total: float
-    largest: float
+    frame_squares: FloatArray
 
     @property
     def count(self) -> int:
         return len(self.energies)
+
+    @property
+    def reach(self) -> float:
+        """Root mean square residual of the frame in which it is greatest [m]."""
+        return float(np.sqrt(self.frame_squares.max()))
 
     def lost(self, count: int) -> float:
         """Mean square error [m^2] of this many components."""
@@ -101,7 +104,7 @@ def find_components(
     for part, block, _ in _centred(residuals):
         shapes[:, part] = (spread @ block).reshape(count, -1, 3)
     scale = 1.0 / (frames * residuals.vertex_count)
-    return Components(sums.mean, shapes, scale * energies[:count], scale * sums.total, sums.largest)
+    return Components(sums.mean, shapes, scale * energies[:count], scale * sums.total, sums.frame_squares)
 
 
 def _strongest_times(residuals: Residuals, width: int, progress: Progress) -> NDArray[np.float32]:
@@ -127,27 +130,27 @@ class _Sums:
         mean: Mean residual [m], shape [vertex_count, 3].
         gram: Products of the temporal shapes' rows, shape [width, width].
         total: Sum of squares about the mean [m^2].
-        largest: Longest residual [m].
+        frame_squares: Mean square residual of every frame [m^2], shape [frame_count].
     """
 
     mean: NDArray[np.float32]
     gram: FloatArray
     total: float
-    largest: float
+    frame_squares: FloatArray
 
 
 def _reduced_sums(residuals: Residuals, span: NDArray[np.float32]) -> _Sums:
     frames, width = span.shape
     mean = np.zeros((residuals.vertex_count, 3), np.float32)
-    gram, total, largest = np.zeros((width, width)), 0.0, 0.0
+    gram, total, squares = np.zeros((width, width)), 0.0, np.zeros(frames)
     for part, block, centre in _centred(residuals):
         mean[part] = centre
         total += float(np.einsum("fv,fv->", block, block, dtype=np.float64))
-        lengths = np.square(block.reshape(frames, -1, 3) + centre).sum(-1)
-        largest = max(largest, float(lengths.max()))
-        reduced = block if width == frames else span.T @ block
+        squares += np.square(block.reshape(frames, -1, 3) + centre).sum((1, 2), dtype=np.float64)
+        # In double precision: a garment that is thrown off must not drown its wrinkles.
+        reduced = (block if width == frames else span.T @ block).astype(np.float64)
         gram += reduced @ reduced.T
-    return _Sums(mean, gram, total, float(np.sqrt(largest)))
+    return _Sums(mean, gram, total, squares / residuals.vertex_count)
 
 
 def project(residuals: Residuals, mean: NDArray[np.float32], shapes: NDArray[np.float32]) -> FloatArray:

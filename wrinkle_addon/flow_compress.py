@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from .flow import FlowMethod
-from .flow_components import Components, Progress, find_components, project
+from .flow_components import Components, find_components, project
 from .flow_file import (
     WEIGHT_UNIT,
     Flow,
@@ -27,15 +27,16 @@ from .flow_residuals import Residuals, ResidualSpace, Skinning
 from .garment import SkinWeights
 from .recordings import Recording
 from .rig import FloatArray, IntArray, Pose, Rig
+from .steps import Progress
 from .vertex_hierarchy import VertexHierarchy
 
-LOST_SHARE = 0.05
+LOST_SHARE = 0.15
 """Share of the mean square error that left out components take; rounding takes the rest, which saves more bytes."""
 
 COUNT_SHARE = 0.1
 """Where the number of components is given, what rounding adds to the mean square error that they leave."""
 
-COEFFICIENT_STEP = 0.25
+COEFFICIENT_STEP = 0.1
 """Step of coefficients, by what it moves the garment on average, over the step of the shapes: what it adds is small."""
 
 FINEST_STEP = 1.0e-6
@@ -46,6 +47,10 @@ SLACK = 0.985
 
 TRIES, ENOUGH_TRIES = 12, 4
 """Encodings until a bound must be kept, and until one that keeps it is good enough."""
+
+LEFT_BODY = 0.3
+"""Root mean square residual [m] from which on a garment is no longer worn, or not by this animation: skirts and capes
+swing by less."""
 
 PLAYABLE = 100_000_000
 """Values of the components, at most: what a frame reads beyond memory's good will."""
@@ -112,7 +117,7 @@ class Compressed:
         rms_mm, max_mm: Errors measured on it, over the clip and of any vertex [mm].
         frame_mm: Root mean square error of every frame [mm], shape [frame_count].
         skinning_mm: Error of skinning alone [mm].
-        curve: Bytes and root mean square error [mm] of other flows of this recording, as estimated; coarse first.
+        note: One sentence if the garment leaves its body in some frames; else empty.
     """
 
     header: FlowHeader
@@ -123,7 +128,7 @@ class Compressed:
     max_mm: float
     frame_mm: FloatArray
     skinning_mm: float
-    curve: tuple[tuple[int, float], ...] = ()
+    note: str = ""
 
 
 def compress(
@@ -166,9 +171,26 @@ def compress(
     )
     search = _Search(source, body, residuals, found, header, progress)
     best = search.by_error(goal) if goal.rms_mm or goal.max_mm else search.by_size(goal)
-    best = replace(best, curve=search.curve(best.rms_mm) if curve else ())
+    note = _describe_leaving(source.recording, found.frame_squares)
+    if curve:
+        told = replace(best.header, curve=search.curve(best.rms_mm))
+        best = replace(best, header=told, flow=replace(best.flow, header=told))
+    best = replace(best, note=note)
     progress(1.0, "done")
     return best
+
+
+def _describe_leaving(recording: Recording, frame_squares: FloatArray) -> str:
+    """Which frames show the garment away from its body, if any: that is kept, but may be a mistake."""
+    away = np.flatnonzero(frame_squares > LEFT_BODY**2)
+    if not len(away):
+        return ""
+    worst = int(frame_squares.argmax())
+    return (
+        f"In {len(away)} of {len(frame_squares)} frames, first in frame {recording.start + away[0]:g}, the garment is "
+        f"off its body: {math.sqrt(frame_squares[worst]):.2g} m RMS from where its bones carry it in frame "
+        f"{recording.start + worst:g}; if it is not taken off there, see that recording and animation belong together."
+    )
 
 
 def _first_target(goal: Goal) -> float:
@@ -187,7 +209,6 @@ class _Carried:
     poses: list[Pose]
     hierarchy: VertexHierarchy
     origin: FloatArray
-    lattice: IntArray
     weight_codes: IntArray
     rest: FloatArray
     weights: SkinWeights
@@ -198,13 +219,12 @@ class _Carried:
         bones = np.flatnonzero(dense.any(0))
         origin, lattice = encode_rest(source.rest)
         hierarchy = VertexHierarchy(lattice)
-        codes, _ = hierarchy.quantise(dense[:, bones].astype(np.float32), WEIGHT_UNIT)
+        codes, _ = hierarchy.quantise(dense[:, bones].astype(np.float32), WEIGHT_UNIT, finer=1.0)
         return _Carried(
             rig_of_bones(source.rig, bones),
             [Pose(pose.matrices[bones]) for pose in source.poses],
             hierarchy,
             origin,
-            lattice,
             codes,
             decode_rest(origin, lattice),
             decode_weights(hierarchy, codes),
@@ -273,7 +293,7 @@ class _Search:
             return self.encode(self._found.count, self._step_for(COUNT_SHARE * lost, self._found.count))
         assert goal.size is not None
         overhead = 4_000 + 200 * self._body.rig.bone_count
-        low, high, best = math.log(0.01), math.log(1e3 * max(self._found.largest, 1e-4)), None
+        low, high, best = math.log(0.01), math.log(1e3 * max(self._found.reach, 1e-4)), None
         for number in range(8):
             self._progress(0.4 + 0.05 * number, "trying sizes")
             middle = 0.5 * (low + high)
@@ -284,7 +304,7 @@ class _Search:
             tried = self.encode(*best)
             if tried.code.size + overhead <= goal.size:
                 return tried
-            best = (best[0], 1.1 * best[1]) if best[1] < self._found.largest else None
+            best = (best[0], 1.1 * best[1]) if best[1] < 10.0 * self._found.reach else None
         raise ValueError(f"{goal.size} bytes do not even hold the garment at rest; allow a larger file.")
 
     def curve(self, around_mm: float) -> tuple[tuple[int, float], ...]:
@@ -309,14 +329,14 @@ class _Search:
         rounded = np.round(wanted / steps).astype(np.int64)
         code = FlowCode(
             body.origin,
-            body.lattice,
+            body.hierarchy,
             body.weight_codes,
             codes,
             step,
             np.diff(rounded, axis=0, prepend=0).astype(np.int32),
             steps,
         )
-        flow = decode_flow(self._header, body.rig, code, body.hierarchy)
+        flow = decode_flow(self._header, body.rig, code)
         return self._measured(code, flow)
 
     def _measured(self, code: FlowCode, flow: Flow) -> Compressed:
@@ -357,8 +377,9 @@ class _Search:
             return 0, error
         small = np.zeros((self._residuals.frame_count, count), np.int32)
         body = self._body
-        code = FlowCode(body.origin, body.lattice, body.weight_codes, codes, step, small, np.ones(count))
-        return code.size + 3 * small.size // 2, error
+        code = FlowCode(body.origin, body.hierarchy, body.weight_codes, codes, step, small, np.ones(count))
+        # Coefficients take about 5 bits.
+        return code.size + 5 * small.size // 8, error
 
 
 @dataclass(frozen=True, eq=False)

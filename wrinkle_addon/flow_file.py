@@ -6,8 +6,9 @@
     coefficients  of every frame
     rig           rest matrices, lengths, parents and gravity of the bones that carry the garment
 
-The first four are small integers in byte planes, packed with LZMA, which every Python brings along. The metadata say
-how to read them, what they were made for, the error that they promise, and the hash of all of it.
+Weights, shapes and coefficients are integers in an adaptive code (:mod:`.adaptive_code`), rest positions in byte planes
+under LZMA, which every Python brings along. The metadata say how to read them, what they were made for, the error that
+they promise, and the hash of all of it.
 """
 
 from __future__ import annotations
@@ -25,13 +26,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import storage
+from .adaptive_code import LARGEST_RATIO, Surroundings, decode_integers, encode_integers
 from .flow_residuals import ResidualSpace, Skinning
 from .garment import SkinWeights
 from .rig import FloatArray, IntArray, Rig
 from .storage import StorageError
 from .vertex_hierarchy import VertexHierarchy
 
-FORMAT = 1
+FORMAT = 2
 SUFFIX = ".flow"
 
 REST_UNIT = 5.0e-5
@@ -43,9 +45,6 @@ WEIGHT_UNIT = 1.0 / 128.0
 LARGEST_COUNTS = {"vertices": 4_000_000, "frames": 1_000_000, "components": 20_000}
 """What a file may ask for; beyond it, it is taken for damaged."""
 
-LARGEST_RATIO = 2_000
-"""Integers a byte that they are packed in, at most, beside a first million: a small file cannot ask for much."""
-
 _FILTERS = [{"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME, "lc": 0, "lp": 0, "pb": 0}]
 _PACKED = ("rest", "weights", "shapes", "coefficients")
 
@@ -56,7 +55,7 @@ class FlowCode:
 
     Attributes:
         origin: Rest position of the lattice's corner [m], shape [3].
-        rest: Lattice coordinates, shape [vertex_count, 3].
+        hierarchy: Of the garment, which knows its lattice coordinates.
         bone_weights: Of every bone of the rig, shape [vertex_count, bone_count].
         shapes: Mean and components, shape [vertex_count, 3 * (component_count + 1)].
         shape_step: What a unit of these is worth [m].
@@ -65,7 +64,7 @@ class FlowCode:
     """
 
     origin: FloatArray
-    rest: IntArray
+    hierarchy: VertexHierarchy
     bone_weights: IntArray
     shapes: IntArray
     shape_step: float
@@ -75,12 +74,12 @@ class FlowCode:
     @cached_property
     def packed(self) -> dict[str, bytes]:
         """The four arrays of integers as the file has them."""
-        # Channels and components one after another: each has statistics of its own.
+        around = self.hierarchy.surroundings
         return {
-            "rest": pack(np.diff(self.rest, axis=0, prepend=0)),
-            "weights": pack(self.bone_weights.T),
-            "shapes": pack(self.shapes.T),
-            "coefficients": pack(self.coefficients.T),
+            "rest": pack(np.diff(self.hierarchy.lattice, axis=0, prepend=0)),
+            "weights": encode_integers(self.bone_weights, around),
+            "shapes": encode_integers(self.shapes, around),
+            "coefficients": encode_integers(self.coefficients, Surroundings.in_a_row(len(self.coefficients))),
         }
 
     @property
@@ -100,6 +99,7 @@ class FlowHeader:
         skinning, space: How residuals were taken.
         rms_mm, max_mm: Errors that no replay at recorded frames goes beyond, over the clip and of any vertex [mm].
         about: What else is worth telling: the recording's name, the weights' source.
+        curve: Bytes and root mean square error [mm] of other flows of this recording, as estimated; coarse first.
     """
 
     garment: str
@@ -110,6 +110,7 @@ class FlowHeader:
     rms_mm: float
     max_mm: float
     about: Mapping[str, Any]
+    curve: tuple[tuple[int, float], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +164,7 @@ def encode_rest(rest: FloatArray) -> tuple[FloatArray, IntArray]:
     return origin, lattice.astype(np.int32)
 
 
-def decode_rest(origin: FloatArray, lattice: IntArray) -> FloatArray:
+def decode_rest(origin: FloatArray, lattice: NDArray[np.integer]) -> FloatArray:
     return origin + REST_UNIT * lattice
 
 
@@ -173,26 +174,26 @@ def decode_weights(hierarchy: VertexHierarchy, codes: IntArray) -> SkinWeights:
     Raises:
         ValueError: If a vertex has none.
     """
-    dense = hierarchy.restore(codes, WEIGHT_UNIT)
+    dense = hierarchy.restore(codes, WEIGHT_UNIT, finer=1.0)
     # Expectations leave traces of bones that are none.
     dense[dense < 0.75 * WEIGHT_UNIT] = 0.0
     return SkinWeights.from_dense(dense)
 
 
-def decode_flow(header: FlowHeader, rig: Rig, code: FlowCode, hierarchy: VertexHierarchy | None = None) -> Flow:
+def decode_flow(header: FlowHeader, rig: Rig, code: FlowCode) -> Flow:
     """What the integers stand for.
 
     Raises:
         ValueError: If they stand for no garment.
     """
-    hierarchy = hierarchy or VertexHierarchy(code.rest)
+    lattice, hierarchy = code.hierarchy.lattice, code.hierarchy
     count = code.shapes.shape[1] // 3
-    shapes = hierarchy.restore(code.shapes, code.shape_step).reshape(len(code.rest), count, 3)
+    shapes = hierarchy.restore(code.shapes, code.shape_step).reshape(len(lattice), count, 3)
     sums = np.cumsum(code.coefficients, axis=0, dtype=np.int64) * code.coefficient_steps
     return Flow(
         header,
         rig,
-        decode_rest(code.origin, code.rest),
+        decode_rest(code.origin, lattice),
         decode_weights(hierarchy, code.bone_weights),
         np.ascontiguousarray(shapes.transpose(1, 0, 2)),
         np.concatenate([np.ones((len(sums), 1)), sums], 1).astype(np.float32),
@@ -258,8 +259,9 @@ def write_flow(path: Path, header: FlowHeader, rig: Rig, code: FlowCode) -> int:
         "rms_mm": header.rms_mm,
         "max_mm": header.max_mm,
         "about": dict(header.about),
+        "curve": [[size, error] for size, error in header.curve],
         "bones": list(rig.names),
-        "vertices": len(code.rest),
+        "vertices": len(code.hierarchy.lattice),
         "frames": len(code.coefficients),
         "components": len(code.coefficient_steps),
         "shape_step": code.shape_step,
@@ -307,13 +309,14 @@ def _decode(arrays: Mapping[str, NDArray[Any]], data: Mapping[str, Any]) -> Flow
     if steps.shape != (components,) or origin.shape != (3,) or not 0.0 < step < 1.0 or rig.gravity.shape != (3,):
         raise ValueError("steps")
     packed = {name: arrays[name].astype(np.uint8, casting="safe").tobytes() for name in _PACKED}
+    hierarchy = VertexHierarchy(np.cumsum(unpack(packed["rest"], (vertices, 3)), axis=0, dtype=np.int32))
     code = FlowCode(
         origin,
-        np.cumsum(unpack(packed["rest"], (vertices, 3)), axis=0, dtype=np.int32),
-        unpack(packed["weights"], (rig.bone_count, vertices)).T,
-        unpack(packed["shapes"], (3 * (components + 1), vertices)).T,
+        hierarchy,
+        decode_integers(packed["weights"], rig.bone_count, hierarchy.surroundings),
+        decode_integers(packed["shapes"], 3 * (components + 1), hierarchy.surroundings),
         step,
-        unpack(packed["coefficients"], (components, frames)).T,
+        decode_integers(packed["coefficients"], components, Surroundings.in_a_row(frames)),
         steps,
     )
     header = FlowHeader(
@@ -325,6 +328,7 @@ def _decode(arrays: Mapping[str, NDArray[Any]], data: Mapping[str, Any]) -> Flow
         _number(data["rms_mm"]),
         _number(data["max_mm"]),
         dict(data["about"]),
+        tuple((int(size), _number(error)) for size, error in data["curve"]),
     )
     flow = decode_flow(header, rig, code)
     if not np.isfinite(flow.shapes).all() or not np.isfinite(flow.coefficients).all():

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .pc2 import PointCache
 from .rig import FloatArray
+from .steps import Steps, finish
 from .storage import StorageError
 
 KINDS = "a .pc2 or .mdd file, or a folder of numbered .npy or .obj files"
@@ -73,8 +74,8 @@ def open_recording(path: Path, start: float | None = None) -> Recording:
     return Recording(path.name, frames, known if start is None else start, to_object)
 
 
-def gather(frames: Iterable[NDArray[np.floating]], frame_count: int, name: str) -> NDArray[np.float32]:
-    """Frames that come one by one in a temporary file, so that no more than one need be in memory.
+def gather(frames: Iterable[NDArray[np.floating]], frame_count: int, name: str) -> Steps[NDArray[np.float32]]:
+    """Frames that come one by one in a temporary file, so that no more than one need be in memory; a step each.
 
     Args:
         frames: Positions, shape [vertex_count, 3] each.
@@ -96,6 +97,7 @@ def gather(frames: Iterable[NDArray[np.floating]], frame_count: int, name: str) 
                 f"{number + 1}; record it with one topology."
             )
         gathered[number] = frame
+        yield (number + 1) / frame_count, f"frame {number + 1} of {frame_count}"
     if gathered is None:
         raise ValueError(f"The recording '{name}' holds no frame.")
     return gathered
@@ -132,7 +134,8 @@ def _read_folder(folder: Path) -> tuple[NDArray[np.float32], FloatArray]:
         if numbers[-1] - numbers[0] + 1 != len(numbers):
             gap = next(a + 1 for a in numbers if a + 1 not in files)
             raise ValueError(f"The folder '{folder}' has no file number {gap}; a recording has every frame.")
-        return gather((read(files[number]) for number in numbers), len(numbers), folder.name), axes
+        steps = gather((read(files[number]) for number in numbers), len(numbers), folder.name)
+        return finish(steps, lambda share, text: None), axes
     raise ValueError(f"The folder '{folder}' holds no numbered .npy or .obj files.")
 
 

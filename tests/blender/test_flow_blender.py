@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import json
+import time
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
-from small_character import Arm, build_arm, empty_scene, evaluated_positions
+from small_character import Arm, build_arm, empty_scene, evaluated_positions, heights
+from wrinkle_synthesis.operators.compress_flow import WRINKLE_OT_compress_flow
 from wrinkle_synthesis.wrinkle_addon import cli
 from wrinkle_synthesis.wrinkle_addon.blender import playback
+from wrinkle_synthesis.wrinkle_addon.blender.flow_compression import READING, compression
 from wrinkle_synthesis.wrinkle_addon.blender.flow_playback import FlowPlayer
+from wrinkle_synthesis.wrinkle_addon.blender.flow_recording import SCENE, RecordingChoice
 from wrinkle_synthesis.wrinkle_addon.blender.handlers import suspended
 from wrinkle_synthesis.wrinkle_addon.blender.write import show_skinned
+from wrinkle_synthesis.wrinkle_addon.flow_compress import Goal
+from wrinkle_synthesis.wrinkle_addon.flow_file import read_flow
 from wrinkle_synthesis.wrinkle_addon.pc2 import PointCache, write_pc2
 
 FRAMES = range(3, 15)
@@ -149,6 +157,87 @@ def test_a_saved_file_plays_again_and_saves_the_skinned_shape(arm: Arm, tmp_path
     assert np.array_equal(evaluated_positions(bpy.data.objects["sleeve"]), shown)
 
 
+def test_compressing_may_be_stopped_between_any_two_steps_and_leaves_nothing(arm: Arm, tmp_path: Path) -> None:
+    out, scene = tmp_path / "sleeve.flow", bpy.context.scene
+    scene.frame_set(7)
+    playing = len(bpy.app.handlers.frame_change_post)
+    choice = RecordingChoice(SCENE, FRAMES)
+    shares = []
+    steps = compression(arm.sleeve, choice, Goal(rms_mm=ERROR), out)
+    for share, text in steps:
+        shares.append(share)
+        assert text or share >= READING
+    assert shares == sorted(shares)
+    assert len([share for share in shares if share <= READING]) >= 2 * len(FRAMES)
+    assert out.exists()
+    out.unlink()
+    for count in (1, 5, len(FRAMES) + 3, 2 * len(FRAMES) + 1):
+        steps = compression(arm.sleeve, choice, Goal(rms_mm=ERROR), out)
+        for _ in range(count):
+            next(steps)
+        steps.close()
+        assert scene.frame_current == 7
+        assert len(bpy.app.handlers.frame_change_post) == playing
+        assert list(tmp_path.iterdir()) == []
+
+
+class Window:
+    """What a modal operator needs of a window, and what it was told."""
+
+    def __init__(self) -> None:
+        self.told: list[str | None] = []
+        self.window = object()
+        self.workspace = SimpleNamespace(status_text_set=self.told.append)
+        self.window_manager = SimpleNamespace(
+            event_timer_remove=lambda timer: self.told.append("no timer"),
+            progress_update=lambda share: None,
+            progress_end=lambda: None,
+        )
+
+
+def modal(arm: Arm, window: Window, out: Path) -> SimpleNamespace:
+    """The operator at work, as `execute` leaves it where there is a window."""
+    operator = SimpleNamespace(_garment=arm.sleeve.session_uid, _out=out, _timer=None, _began=time.monotonic())
+    operator._steps = compression(arm.sleeve, RecordingChoice(SCENE, FRAMES), Goal(rms_mm=ERROR), out)
+    operator.report = lambda kind, text: window.told.append(text)
+    for name in ("modal", "cancel", "_finish"):
+        setattr(operator, name, partial(getattr(WRINKLE_OT_compress_flow, name), operator))
+    return operator
+
+
+def test_in_a_window_compressing_tells_its_progress_and_shows_the_result(arm: Arm, tmp_path: Path) -> None:
+    window, out = Window(), tmp_path / "sleeve.flow"
+    operator = modal(arm, window, out)
+    timer, other = SimpleNamespace(type="TIMER"), SimpleNamespace(type="MOUSEMOVE")
+    assert operator.modal(window, other) == {"RUNNING_MODAL"}
+    assert window.told == []
+    while (answer := operator.modal(window, timer)) == {"RUNNING_MODAL"}:
+        assert "Compressing the recording: " in window.told[-1]
+        assert window.told[-1].endswith(". Esc stops.")
+    assert answer == {"FINISHED"}
+    assert window.told[-3:-1] == ["no timer", None]
+    assert "MB written to" in window.told[-1]
+    assert arm.sleeve.wrinkles.flow.replays
+    assert arm.sleeve.wrinkles.enabled
+
+
+def test_in_a_window_escape_stops_compressing(arm: Arm, tmp_path: Path) -> None:
+    window, out = Window(), tmp_path / "sleeve.flow"
+    operator = modal(arm, window, out)
+    for _ in range(20):
+        operator.modal(window, SimpleNamespace(type="TIMER"))
+    assert operator.modal(window, SimpleNamespace(type="ESC")) == {"CANCELLED"}
+    assert window.told[-3:] == ["no timer", None, "Compressing stopped; no file was written."]
+    assert not out.exists()
+    assert not arm.sleeve.wrinkles.flow.replays
+
+
+def test_the_file_tells_what_other_errors_would_cost(arm: Arm, tmp_path: Path) -> None:
+    sizes, errors = zip(*read_flow(compress(tmp_path)).header.curve, strict=True)
+    assert sorted(sizes) == list(sizes)
+    assert sorted(errors, reverse=True) == list(errors)
+
+
 def test_switching_the_replay_off_goes_back_to_the_database_s_ways(arm: Arm, tmp_path: Path) -> None:
     compress(tmp_path)
     arm.sleeve.wrinkles.flow.replays = False
@@ -156,6 +245,27 @@ def test_switching_the_replay_off_goes_back_to_the_database_s_ways(arm: Arm, tmp
         pass
     playback.play_scene(bpy.context.scene, bpy.context.evaluated_depsgraph_get())
     assert "has no database" in playback.status(arm.sleeve).error
+
+
+def test_a_replay_is_pushed_out_of_the_body_where_that_is_asked_for(arm: Arm, tmp_path: Path) -> None:
+    compress(tmp_path)
+    folds_off(arm)
+    settings = arm.sleeve.wrinkles
+    bpy.context.scene.frame_set(14)
+    # Exaggerated, the folds go through the arm.
+    settings.strength = 3.0
+    through = evaluated_positions(arm.sleeve)
+    assert heights(arm).min() < -0.003
+    settings.flow.clear_of_body = True
+    bpy.context.view_layer.update()
+    # The clearance of 3 mm, less half of the softness, and less what the arm's facets of 20 mm make of it.
+    assert heights(arm).min() > 0.0015
+    arm.sleeve.wrinkles.body.hide_viewport = True
+    bpy.context.view_layer.update()
+    player = playback.status(arm.sleeve).player
+    assert isinstance(player, FlowPlayer)
+    assert "is hidden. The garment 'sleeve' plays without being kept clear of it." in player.note
+    assert np.array_equal(evaluated_positions(arm.sleeve), through)
 
 
 # --- what does not fit --------------------------------------------------------------------------------------------
@@ -179,7 +289,7 @@ def test_another_mesh_another_rig_and_a_damaged_file_are_said(arm: Arm, tmp_path
     path.write_bytes(whole)
     assert error_of(arm) == ""
     arm.armature.data.bones["lower"].name = "forearm"
-    assert "has lost the bone 'lower'" in error_of(arm)
+    assert "has lost the bone 'lower'; undo the change or compress the recording again" in error_of(arm)
     arm.armature.data.bones["forearm"].name = "lower"
     other = bpy.data.meshes.new("other")
     other.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])

@@ -8,9 +8,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from small_character import Arm, Bumps, build_arm, empty_scene, evaluated_positions
+from small_character import Arm, Bumps, build_arm, empty_scene, evaluated_positions, heights
 from wrinkle_synthesis.wrinkle_addon.blender import playback
-from wrinkle_synthesis.wrinkle_addon.garment import bind_to_surface
 from wrinkle_synthesis.wrinkle_addon.pc2 import PointCache
 
 # Bumps that lift the sleeve by up to 24 mm: its lower side goes through the arm, 12 mm away.
@@ -29,18 +28,6 @@ def arm(scene: bpy.types.Scene, database: Path) -> Arm:
     scene.frame_end = len(ANGLES)
     arm.sleeve.wrinkles.clear_of_body = True
     return arm
-
-
-def heights(arm: Arm) -> np.ndarray:
-    """Height of the sleeve over the arm as both are shown, in their own space."""
-    body = arm.sleeve.wrinkles.body
-    mesh = body.data
-    mesh.calc_loop_triangles()
-    faces = np.array([triangle.vertices[:] for triangle in mesh.loop_triangles], np.int32)
-    points = evaluated_positions(arm.sleeve).astype(np.float64)
-    to_body = np.array(body.matrix_world.inverted() @ arm.sleeve.matrix_world)
-    points = points @ to_body[:3, :3].T + to_body[:3, 3]
-    return bind_to_surface(points, evaluated_positions(body).astype(np.float64), faces).distance
 
 
 def note(arm: Arm) -> str:

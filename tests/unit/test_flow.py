@@ -211,5 +211,5 @@ def test_another_version_is_said_to_be_one(made: Compressed, tmp_path: Path):
     write_flow(path, made.header, made.rig, made.code)
     arrays, metadata = storage.read_arrays(path)
     storage.write_arrays(path, arrays, metadata | {"format": 99})
-    with pytest.raises(storage.StorageError, match="format 99, this version reads 1"):
+    with pytest.raises(storage.StorageError, match="format 99, this version reads 2"):
         read_flow(path)

@@ -134,6 +134,18 @@ def test_too_few_frames_are_refused(change: dict[str, int], sentence: str):
         compress(clip(**change), Goal(components=5) if change["frame_count"] > 1 else Goal(rms_mm=1.0))
 
 
+def test_a_garment_that_leaves_its_body_is_said_and_kept():
+    source = clip()
+    assert compress(source, Goal(rms_mm=0.5)).note == ""
+    frames = source.recording.frames.copy()
+    # Thrown off, 2 m away in the object's own units, of half a metre each.
+    frames[30:] += 2.0
+    recording = replace(source.recording, frames=frames)
+    made = compress(replace(source, recording=recording), Goal(rms_mm=0.5))
+    assert "10 of 40 frames, first in frame 35, the garment is off its body" in made.note
+    assert made.rms_mm <= 0.5
+
+
 def test_frames_that_are_no_numbers_are_named():
     source = clip()
     source.recording.frames[7, 3, 1] = np.nan

@@ -55,7 +55,7 @@ def test_obj_files_may_number_their_normals_anew_but_not_their_faces(tmp_path: P
 
 def test_a_changing_number_of_vertices_is_refused():
     with pytest.raises(ValueError, match="8 vertices at first and 7 in sample 2"):
-        gather([FRAMES[0], FRAMES[1, :7]], 2, "a")
+        list(gather([FRAMES[0], FRAMES[1, :7]], 2, "a"))
 
 
 def test_what_is_missing_truncated_or_something_else_is_refused(tmp_path: Path):

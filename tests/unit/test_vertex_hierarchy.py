@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from flow_clips import sleeve
+from wrinkle_synthesis.wrinkle_addon.adaptive_code import encode_integers
 from wrinkle_synthesis.wrinkle_addon.flow_file import encode_rest, pack, unpack
 from wrinkle_synthesis.wrinkle_addon.vertex_hierarchy import ROUNDING, VertexHierarchy
 
@@ -30,9 +31,18 @@ def test_smooth_fields_take_less_than_rounding_each_vertex_by_itself():
     # In no order, and different around the sleeve: nothing repeats.
     rest = np.random.default_rng(6).permutation(sleeve())
     values = (0.01 * np.sin(12 * rest @ [[1.0, 0.3, 0.0], [0.5, 1.0, 0.7], [0.0, 2.0, 1.0]])).astype(np.float32)
-    codes, _ = VertexHierarchy(encode_rest(rest)[1]).quantise(values, STEP)
+    hierarchy = VertexHierarchy(encode_rest(rest)[1])
+    codes, _ = hierarchy.quantise(values, STEP)
     plain = np.round(values / STEP).astype(np.int32)
-    assert len(pack(codes.T)) < 0.8 * len(pack(plain.T))
+    assert len(encode_integers(codes, hierarchy.surroundings)) < 0.8 * len(pack(plain.T))
+
+
+def test_what_vertices_are_expected_from_comes_before_them():
+    order, neighbours = hierarchy().surroundings.order, hierarchy().surroundings.neighbours
+    assert np.array_equal(np.sort(order), np.arange(len(sleeve())))
+    place = np.argsort(order)
+    known = neighbours[order] >= 0
+    assert (place[neighbours[order]] < np.arange(len(order))[:, None])[known].all()
 
 
 def test_vertices_in_one_place_and_single_vertices_are_fine():

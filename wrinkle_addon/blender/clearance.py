@@ -2,27 +2,50 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import bpy
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
 from ..database import WrinkleDatabase
-from ..garment import Body, SkinWeights, check_body
+from ..garment import Body, Garment, SkinWeights, check_body
 from ..penetration import ClearanceBinding, PushOut, bind_clearance
 from ..rig import FloatArray, Pose, Rig
 from ..wearer import worn_limbs
 from .character import apply, read_mesh, read_weights
 
 
+@dataclass(frozen=True, eq=False)
+class Worn:
+    """What is kept clear of its body.
+
+    Attributes:
+        rig: The bones that the garment is played by.
+        garment: The garment as modelled.
+        rest: As it lies on the body at rest [m], shape [vertex_count, 3].
+        whole: Whether the rig has all bones of the body, so that it can be skinned here.
+    """
+
+    rig: Rig
+    garment: Garment
+    rest: FloatArray
+    whole: bool = True
+
+    @staticmethod
+    def of_database(database: WrinkleDatabase) -> Worn:
+        return Worn(database.header.rig, database.header.garment, database.rest)
+
+
 class BodyClearance:
     """One garment's push out of its body. What keeps it from pushing is told, and the garment plays as it is.
 
     Where the body is hidden, or shown with another mesh than its own (subdivided, or its covered skin masked out of the
-    render), its own mesh is skinned here and stands for it.
+    render), its own mesh is skinned here and stands for it, if the rig has all its bones.
 
     Args:
-        database: The garment's.
+        worn: The garment.
         device: Warp device of its positions.
 
     Attributes:
@@ -30,8 +53,8 @@ class BodyClearance:
             plain skinning alone; else empty.
     """
 
-    def __init__(self, database: WrinkleDatabase, device: str):
-        self._database = database
+    def __init__(self, worn: Worn, device: str):
+        self._worn = worn
         self._device = device
         # The body that the garment was bound to, as glanced at, and why it could not be.
         self._bound: tuple[object, str] | None = None
@@ -46,6 +69,8 @@ class BodyClearance:
         depsgraph: bpy.types.Depsgraph,
         pose: Pose,
         placement: FloatArray,
+        *,
+        wanted: bool,
     ) -> NDArray[np.float32] | None:
         """The body of this frame in the garment's object space, shape [body_vertex_count, 3]; None to leave it be.
 
@@ -54,9 +79,10 @@ class BodyClearance:
             depsgraph: The evaluated scene.
             pose: Of the armature in this frame.
             placement: Matrix from rig space [m] to the garment's object space, shape [4, 4].
+            wanted: Whether the garment is to be kept clear at all.
         """
         self.note = ""
-        if not garment.wrinkles.clear_of_body:
+        if not wanted:
             return None
         try:
             return self._read(garment, depsgraph, pose, placement)
@@ -78,8 +104,10 @@ class BodyClearance:
             to_garment = garment.evaluated_get(depsgraph).matrix_world.inverted_safe() @ shown.matrix_world
             return apply(np.array(to_garment, np.float64), points.reshape(-1, 3).astype(np.float64)).astype(np.float32)
         how = "is hidden" if shown is None else "is shown with another mesh than its own"
+        if not self._worn.whole:
+            raise ValueError(f"The body '{body.name}' {how}.")
         self.note = f"The body '{body.name}' {how}; the garment '{garment.name}' is kept clear of its plain skinning."
-        deformations = pose.deformations(self._database.header.rig)
+        deformations = pose.deformations(self._worn.rig)
         moved = self._skin.carry(placement @ deformations, self._rest.positions)
         return moved.astype(np.float32)
 
@@ -91,11 +119,10 @@ class BodyClearance:
             # As placed in this frame, like the placement: a render does not move the originals.
             worn, skin = (ob.evaluated_get(depsgraph).matrix_world for ob in (garment, body))
             to_garment = np.array(worn.inverted_safe() @ skin, np.float64)
-            rig = self._database.header.rig
             try:
-                self._rest = rest_body(body, rig, np.linalg.inv(placement) @ to_garment)
+                self._rest = rest_body(body, self._worn.rig, np.linalg.inv(placement) @ to_garment)
                 self._skin = SkinWeights.from_dense(_carried(self._rest.weights))
-                self._push = PushOut(bind_to_body(self._database, self._rest), device=self._device)
+                self._push = PushOut(bind_to_body(self._worn, self._rest), device=self._device)
                 self._bound = glance, ""
             except ValueError as error:
                 self._bound = glance, str(error)
@@ -121,11 +148,10 @@ def metre_of(placement: FloatArray) -> float:
     return abs(float(np.linalg.det(placement[:3, :3]))) ** (1.0 / 3.0)
 
 
-def bind_to_body(database: WrinkleDatabase, body: Body) -> ClearanceBinding:
-    """Bind a database's settled garment to the body at rest."""
-    header = database.header
-    limbs = worn_limbs(header.rig, header.garment, body)
-    return bind_clearance(database.rest, header.garment.faces, body.positions, body.faces, limbs)
+def bind_to_body(worn: Worn, body: Body) -> ClearanceBinding:
+    """Bind a garment to the body at rest."""
+    limbs = worn_limbs(worn.rig, worn.garment, body)
+    return bind_clearance(worn.rest, worn.garment.faces, body.positions, body.faces, limbs)
 
 
 def check_body_object(body: bpy.types.Object | None) -> bpy.types.Object:

@@ -16,7 +16,7 @@ from ..cache_parts import CacheParts
 from ..database import WrinkleDatabase
 from ..joint_wrinkles import BlendWeights, Formulation, JointWrinkles
 from ..storage import content_key, file_hash
-from .clearance import BodyClearance
+from .clearance import BodyClearance, Worn
 from .clip import ClipReader, step_frames
 from .coarse_layer import CoarseBinding, coarse_key
 from .exporters import EXPORTERS, check_exporter, export_garment
@@ -72,7 +72,7 @@ class ClipSynthesis:
         self._formulation = formulation or Formulation[settings.formulation]
         self._weights = weights or BlendWeights[settings.weights]
         self._evaluator = JointWrinkles(self._database, self._formulation, self._weights).bind(device)
-        self._clearance = BodyClearance(self._database, device)
+        self._clearance = BodyClearance(Worn.of_database(self._database), device)
         self._coarse = CoarseBinding(self._database)
         self._inner_clearance = InnerClearance(self._database, device)
         self._inner = self._make_inner(device)
@@ -102,7 +102,8 @@ class ClipSynthesis:
         depsgraph = bpy.context.evaluated_depsgraph_get()
         layer = self._coarse.read(self.garment, depsgraph, self._evaluator, strict=True)
         (layer or self._evaluator).evaluate(clip.pose, self._positions, strengths, clip.rig_to_garment)
-        body = self._clearance.read(self.garment, depsgraph, clip.pose, clip.rig_to_garment)
+        wanted = self.garment.wrinkles.clear_of_body
+        body = self._clearance.read(self.garment, depsgraph, clip.pose, clip.rig_to_garment, wanted=wanted)
         if body is not None:
             self._clearance.clear(body, self._positions, clip.rig_to_garment)
         inner = self._inner_clearance.read(self.garment, depsgraph, self._inner_garment(frame, depsgraph))

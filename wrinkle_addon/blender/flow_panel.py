@@ -31,7 +31,7 @@ class WRINKLE_PT_flow(WrinklePanel, bpy.types.Panel):
         column = layout.column()
         column.use_property_split = True
         column.active = settings.replays
-        for name in ("offset", "speed", "ends"):
+        for name in ("offset", "speed", "ends", "clear_of_body"):
             column.prop(settings, name)
         column.label(text="Replays what was recorded;", icon="INFO")
         column.label(text="does not react to other motion.", icon="BLANK1")
@@ -40,6 +40,19 @@ class WRINKLE_PT_flow(WrinklePanel, bpy.types.Panel):
             if player.note:
                 layout.label(text=player.note, icon="INFO")
             layout.label(text=player.summary)
+            _draw_curve(layout, player)
+
+
+def _draw_curve(layout: bpy.types.UILayout, player: FlowPlayer) -> None:
+    """What other errors would cost, as bars."""
+    curve = player.flow.header.curve
+    if not curve:
+        return
+    column = layout.column(align=True)
+    column.label(text="Size at other errors, about:")
+    largest = max(size for size, _ in curve)
+    for size, error in curve:
+        column.progress(factor=size / max(largest, 1), text=f"{error:.2g} mm: {size / 1e6:.2g} MB")
 
 
 classes = (WRINKLE_PT_flow,)

@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 from ..flow import Ends, FlowMethod, Timing
 from ..flow_file import read_flow
 from ..folder_verbs import choose_device
+from ..garment import Garment
 from ..rig import FloatArray, Pose
 from . import playback
 from .armature import PoseReader, rig_scale
+from .character import read_mesh
+from .clearance import BodyClearance, Worn
 from .flow_recording import mesh_topology
-from .matching import match_rig
+from .matching import RECORDING, match_rig
 from .preferences import device_name
 from .write import make_writable, show_positions
 
@@ -67,6 +70,7 @@ class FlowPlayer(playback.Player):
         make_writable(garment)
         self.rig_key = (source.armature, self.flow.rig.fingerprint())
         self._evaluator = FlowMethod(self.flow).bind(device)
+        self._clearance = BodyClearance(self._worn(garment), device)
         self._positions = wp.zeros(self.flow.vertex_count, dtype=wp.vec3, device=device)
         on_cpu = self._positions.device.is_cpu
         self._host = self._positions if on_cpu else wp.zeros_like(self._positions, device="cpu", pinned=True)
@@ -83,7 +87,7 @@ class FlowPlayer(playback.Player):
 
     @property
     def note(self) -> str:
-        return self._outside
+        return " ".join(filter(None, (self._outside, self._clearance.note)))
 
     @property
     def clamped(self) -> Mapping[str, FloatArray]:
@@ -101,10 +105,16 @@ class FlowPlayer(playback.Player):
         self.doubt()
         check_flow_mesh(garment, self.flow.header.topology, self.flow.vertex_count)
         armature = garment.wrinkles.armature
-        self._scale = match_rig(armature, self.flow)
+        self._scale = match_rig(armature, self.flow, RECORDING)
         self._reader = PoseReader(armature, self.flow.rig)
         self._to_bake = self._scale / rig_scale(armature)
         self._checked = glance
+
+    def _worn(self, garment: bpy.types.Object) -> Worn:
+        """The garment as it is kept clear of its body; its faces are the recorded ones, which was checked."""
+        flow, (_, faces) = self.flow, read_mesh(garment.data)
+        held = np.zeros(flow.vertex_count, np.float32)
+        return Worn(flow.rig, Garment(garment.name, flow.rest, faces, flow.weights, held), flow.rest, whole=False)
 
     def doubt(self) -> None:
         self._checked = self._inputs = None
@@ -118,12 +128,17 @@ class FlowPlayer(playback.Player):
         strength = evaluated.wrinkles.strength
         timing = timing_of(evaluated)
         frame = depsgraph.scene.frame_current_final
-        inputs = (pose.matrices.tobytes(), placement.tobytes(), strength, timing, frame)
+        wanted = garment.wrinkles.flow.clear_of_body
+        body = self._clearance.read(garment, depsgraph, pose, placement, wanted=wanted)
+        around = None if body is None else (body.tobytes(), garment.wrinkles.clearance)
+        inputs = (pose.matrices.tobytes(), placement.tobytes(), strength, timing, frame, around)
         if only_changes and inputs == self._inputs:
             return
         self._evaluator.timing = timing
         self._evaluator.evaluate(pose, self._positions, strength, placement, frame=frame)
         self._outside = describe_outside(self._evaluator.outside)
+        if body is not None:
+            self._clearance.clear(body, self._positions, placement)
         if self._host is not self._positions:
             wp.copy(self._host, self._positions)
             wp.synchronize_device(self._positions.device)

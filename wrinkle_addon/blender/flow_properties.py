@@ -63,6 +63,15 @@ class FlowSettings(bpy.types.PropertyGroup):
         update=_played_anew,
     )
 
+    clear_of_body: bpy.props.BoolProperty(
+        name="Clear of Body",
+        default=False,
+        description="Push the replayed garment out of its body, by the clearance of the garment; else it is where it "
+        "was recorded",
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+
     def source(self) -> FlowFile | None:
         """What to replay; None if the garment plays its database.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +17,10 @@ from ..flow_weights import fit_weights, nearest_weights
 from ..garment import SkinWeights, bind_to_surface, check_fit, skin_garment
 from ..recordings import Recording, gather, open_recording
 from ..rig import FloatArray, Pose, Rig
+from ..steps import Steps, portion
 from .armature import read_rig
 from .character import apply, read_mesh, read_weights, rig_from_world, sampling_stage
-from .clip import read_clip
+from .clip import ClipFrame, read_clip
 
 SCENE = "scene"
 """The recording that is the garment in the scene as its modifiers show it."""
@@ -27,8 +28,6 @@ SCENE = "scene"
 IMPORTERS: dict[str, str] = {".abc": "Alembic", ".usd": "USD", ".usdc": "USD", ".usda": "USD"}
 
 WEIGHTS = ("own", "nearest", "surface", "fit")
-
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
@@ -48,8 +47,8 @@ class RecordingChoice:
     weights: str = "own"
 
 
-def read_source(garment: bpy.types.Object, choice: RecordingChoice, progress: Progress) -> FlowSource:
-    """A garment's recording and the poses of its armature, frame by frame.
+def read_source(garment: bpy.types.Object, choice: RecordingChoice) -> Steps[FlowSource]:
+    """A garment's recording and the poses of its armature, a frame a step.
 
     Raises:
         ValueError: If the recording is not of this garment, or nothing carries the garment; one sentence.
@@ -63,9 +62,9 @@ def read_source(garment: bpy.types.Object, choice: RecordingChoice, progress: Pr
         raise ValueError(f"The garment '{garment.name}' has no faces; choose a mesh with a surface.")
     rest = apply(rig_from_world(armature) @ np.array(garment.matrix_world, np.float64), positions)
     weights = _start_weights(garment, rig, rest, faces, choice.weights)
-    posed = read_posed(garment, rig, choice, progress)
+    posed = yield from portion(read_posed(garment, rig, choice), 0.0, 0.9)
     if choice.weights == "fit" and posed.recording.vertex_count == len(rest):
-        progress(0.7, "fitting weights")
+        yield 0.9, "fitting weights"
         weights = fit_weights(weights, rest, posed.recording, rig, posed.poses, posed.to_rig)
     return FlowSource(
         posed.recording,
@@ -89,16 +88,17 @@ class PosedRecording:
     to_rig: FloatArray
 
 
-def read_posed(garment: bpy.types.Object, rig: Rig, choice: RecordingChoice, progress: Progress) -> PosedRecording:
+def read_posed(garment: bpy.types.Object, rig: Rig, choice: RecordingChoice) -> Steps[PosedRecording]:
     """A recording of a garment, and the poses of its armature in those frames.
 
     Raises:
         ValueError: If the recording cannot be read; one sentence.
     """
-    progress(0.05, "reading the recording")
-    recording = _read_recording(garment, choice)
-    progress(0.5, "reading poses")
-    clips = list(read_clip(garment, rig, [recording.start + number for number in range(recording.frame_count)]))
+    recording = yield from portion(_read_recording(garment, choice), 0.0, 0.5)
+    clips: list[ClipFrame] = []
+    for clip in read_clip(garment, rig, [recording.start + number for number in range(recording.frame_count)]):
+        clips.append(clip)
+        yield 0.5 + 0.5 * len(clips) / recording.frame_count, f"pose {len(clips)} of {recording.frame_count}"
     to_rig = np.linalg.inv(np.stack([clip.rig_to_garment for clip in clips]))
     return PosedRecording(recording, [clip.pose for clip in clips], to_rig)
 
@@ -133,22 +133,22 @@ def _start_weights(
     return skin_garment(rest, faces, body) if kind == "surface" else nearest_weights(rest, body)
 
 
-def _read_recording(garment: bpy.types.Object, choice: RecordingChoice) -> Recording:
+def _read_recording(garment: bpy.types.Object, choice: RecordingChoice) -> Steps[Recording]:
     if choice.recording == SCENE:
-        return _record(garment, garment, choice.frames, "the scene")
+        return (yield from _record(garment, garment, choice.frames, "the scene"))
     path = Path(choice.recording)
     if path.suffix.lower() in IMPORTERS:
         if not path.is_file():
             raise ValueError(f"There is no recording '{path}'.")
         with _imported(path, len(garment.data.vertices)) as actor:
-            return _record(garment, actor, choice.frames, path.name)
+            return (yield from _record(garment, actor, choice.frames, path.name))
     return open_recording(path, choice.start)
 
 
-def _record(garment: bpy.types.Object, actor: bpy.types.Object, frames: range, name: str) -> Recording:
+def _record(garment: bpy.types.Object, actor: bpy.types.Object, frames: range, name: str) -> Steps[Recording]:
     """An object as its modifiers show it, in the garment's space."""
-    positions = _evaluated_frames(garment, actor, frames)
-    return Recording(name, gather(positions, len(frames), name), float(frames.start), np.eye(4))
+    positions = yield from gather(_evaluated_frames(garment, actor, frames), len(frames), name)
+    return Recording(name, positions, float(frames.start), np.eye(4))
 
 
 def _evaluated_frames(

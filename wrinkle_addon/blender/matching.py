@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import bpy
@@ -73,7 +74,19 @@ class OfRig(Protocol):
     def rig(self) -> Rig: ...
 
 
-def match_rig(armature: bpy.types.Object, header: OfRig) -> float:
+@dataclass(frozen=True)
+class Making:
+    """How something that belongs to a rig was made, in words."""
+
+    event: str
+    remedy: str
+
+
+BAKE = Making("the bake", "bake again")
+RECORDING = Making("the recording", "compress the recording again")
+
+
+def match_rig(armature: bpy.types.Object, header: OfRig, making: Making = BAKE) -> float:
     """Metres of the bake per unit of the armature's own space, if its bones still rest as they did.
 
     It comes from the bones themselves, so that a character scaled as a whole keeps its wrinkles.
@@ -86,16 +99,16 @@ def match_rig(armature: bpy.types.Object, header: OfRig) -> float:
     gone = [name for name in rig.names if name not in bones]
     if gone:
         raise ValueError(
-            f"The rig '{armature.name}' changed since the bake: it has lost the bone '{gone[0]}'; "
-            "undo the change or bake again."
+            f"The rig '{armature.name}' changed since {making.event}: it has lost the bone '{gone[0]}'; "
+            f"undo the change or {making.remedy}."
         )
     scale = float(rig.lengths.sum()) / sum(bones[name].length for name in rig.names)
     difference = _rest_difference(armature, rig, scale)
     worst = int(difference.argmax())
     if difference[worst] > REST_TOLERANCE:
         raise ValueError(
-            f"The rig '{armature.name}' changed since the bake: the bone '{rig.names[worst]}' rests elsewhere; "
-            "undo the change or bake again."
+            f"The rig '{armature.name}' changed since {making.event}: the bone '{rig.names[worst]}' rests elsewhere; "
+            f"undo the change or {making.remedy}."
         )
     return scale
 

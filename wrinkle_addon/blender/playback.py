@@ -23,7 +23,7 @@ from ..folder_verbs import choose_device
 from ..joint_wrinkles import BlendWeights, Formulation, JointWrinkles
 from ..rig import FloatArray, Pose
 from .armature import PoseReader, rig_scale
-from .clearance import BodyClearance
+from .clearance import BodyClearance, Worn
 from .coarse_layer import CoarseBinding
 from .culling import is_culled
 from .first_start import first_start
@@ -104,7 +104,7 @@ class Player:
         self.reports = {sample.name: stored.report for sample, stored in method.samples.items()}
         self._evaluator = method.bind(device)
         self._positions = wp.zeros(self._evaluator.vertex_count, dtype=wp.vec3, device=device)
-        self._clearance = BodyClearance(self.database, device)
+        self._clearance = BodyClearance(Worn.of_database(self.database), device)
         self._inner_clearance = InnerClearance(self.database, device)
         on_cpu = self._positions.device.is_cpu
         self._host = self._positions if on_cpu else wp.zeros_like(self._positions, device="cpu", pinned=True)
@@ -177,7 +177,8 @@ class Player:
         frame = depsgraph.scene.frame_current_final
         layer = self.coarse.read(garment, depsgraph, self._evaluator, live=not only_changes)
         full = depsgraph.mode == "RENDER" or garment.wrinkles.viewport_detail == "FULL"
-        body = self._clearance.read(garment, depsgraph, pose, placement) if full else None
+        wanted = full and garment.wrinkles.clear_of_body
+        body = self._clearance.read(garment, depsgraph, pose, placement, wanted=wanted)
         coarse = None if layer is None else (layer.positions.tobytes(), layer.follow)
         inner = self._inner_clearance.read(garment, depsgraph, _inner_garment(garment, depsgraph)) if full else None
         around = tuple(None if points is None else points.tobytes() for points in (body, inner))

@@ -20,13 +20,17 @@ from ..flow_residuals import Residuals, ResidualSpace, Skinning
 from ..folder_verbs import choose_device
 from ..pc2 import write_pc2
 from ..plots import check_plots, plot_flow
+from ..steps import describe_left, finish
 from .character import apply
 from .clip import read_clip
 from .files import check_output, choose_armature, save_character
 from .flow_playback import check_flow_mesh, describe_outside
 from .flow_recording import SCENE, RecordingChoice, read_posed, read_source
-from .matching import match_rig
+from .matching import RECORDING, match_rig
 from .verb_options import find_frames, find_object, open_file, say
+
+PAUSE = 0.5
+"""Least time between two words of progress [s]."""
 
 
 def flow(options: argparse.Namespace) -> Mapping[str, Any]:
@@ -42,7 +46,7 @@ def compress_recording(options: argparse.Namespace) -> Mapping[str, Any]:
     open_file(options)
     garment = find_worn(options)
     tell = _Teller()
-    source = read_source(garment, _choice(options), lambda share, text: tell(0.2 * share, text))
+    source = finish(read_source(garment, _choice(options)), lambda share, text: tell(0.2 * share, text))
     made = compress(
         source,
         goal,
@@ -58,10 +62,17 @@ def compress_recording(options: argparse.Namespace) -> Mapping[str, Any]:
         "a PC2 cache.",
         f"{made.rms_mm:.3g} mm RMS, {made.max_mm:.3g} mm at most; {made.skinning_mm:.3g} mm RMS by skinning alone.",
     ]
-    result = {**told, "measured_rms_mm": made.rms_mm, "measured_max_mm": made.max_mm, "skinning_mm": made.skinning_mm}
+    lines += [made.note] if made.note else []
+    result = {
+        **told,
+        "notes": [made.note] if made.note else [],
+        "measured_rms_mm": made.rms_mm,
+        "measured_max_mm": made.max_mm,
+        "skinning_mm": made.skinning_mm,
+    }
     if options.plots is not None:
-        points = [*made.curve, (told["bytes"], made.rms_mm)]
-        result["curve"] = [{"bytes": size, "rms_mm": error} for size, error in made.curve]
+        points = [*made.header.curve, (told["bytes"], made.rms_mm)]
+        result["curve"] = [{"bytes": size, "rms_mm": error} for size, error in made.header.curve]
         result["plots"] = [str(plot_flow(points, made.frame_mm, source.recording.start, options.plots))]
     if options.blend is not None:
         _remember(garment, options.out, options.blend)
@@ -82,7 +93,7 @@ def play(options: argparse.Namespace) -> Mapping[str, Any]:
     open_file(options)
     garment = find_worn(options)
     check_flow_mesh(garment, found.header.topology, found.vertex_count)
-    scale = match_rig(garment.wrinkles.armature, found)
+    scale = match_rig(garment.wrinkles.armature, found, RECORDING)
     timing = Timing(options.offset, options.speed, Ends(options.ends))
     frames = find_frames(options, every=True)
     evaluator = FlowMethod(found, timing).bind(device)
@@ -117,10 +128,10 @@ def verify(options: argparse.Namespace) -> Mapping[str, Any]:
     open_file(options)
     garment = find_worn(options)
     check_flow_mesh(garment, found.header.topology, found.vertex_count)
-    match_rig(garment.wrinkles.armature, found)
+    match_rig(garment.wrinkles.armature, found, RECORDING)
     first = round(found.header.start)
     choice = RecordingChoice(options.recording, range(first, first + found.frame_count), found.header.start)
-    posed = read_posed(garment, found.rig, choice, lambda share, text: None)
+    posed = finish(read_posed(garment, found.rig, choice), lambda share, text: None)
     if posed.recording.frame_count != found.frame_count:
         raise ValueError(
             f"The recording has {posed.recording.frame_count} frames, the flow {found.frame_count}; "
@@ -181,12 +192,13 @@ class _Teller:
     """Says what is done and how long it will take, when either is news."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic):
-        self._clock, self._began, self._last = clock, clock(), ""
+        self._clock, self._began = clock, clock()
+        self._last, self._spoke = "", -PAUSE
 
     def __call__(self, share: float, text: str) -> None:
-        if text == self._last:
-            return
-        self._last = text
         passed = self._clock() - self._began
-        left = f", about {passed * (1.0 - share) / share:.0f} s left" if share > 0.1 and passed > 2.0 else ""
-        say(f"{100 * share:3.0f} % {text}{left}")
+        # Frames come fast, and one by one.
+        if text == self._last or (passed - self._spoke < PAUSE and share < 1.0):
+            return
+        self._last, self._spoke = text, passed
+        say(f"{100 * share:3.0f} % {text}{describe_left(share, passed)}")

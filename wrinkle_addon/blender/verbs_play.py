@@ -27,7 +27,7 @@ from ..reference import SettledReference, SimulationSettings, simulate_clip
 from ..rig import FloatArray, Pose
 from ..wearer import Wearer
 from .character import SamplingStage, apply, sampling_stage
-from .clearance import bind_to_body
+from .clearance import Worn, bind_to_body
 from .clip import ClipFrame, parse_frames, read_clip
 from .clip_synthesis import CACHE, ClipSynthesis, check_result, write_clip, write_parts
 from .coarse_layer import CoarseBinding
@@ -219,7 +219,11 @@ def evaluate(options: argparse.Namespace) -> Mapping[str, Any]:
 
         push = None
         if garment.wrinkles.clear_of_body:
-            push = PushOut(bind_to_body(database, job.body), ClearanceSettings(garment.wrinkles.clearance), device)
+            push = PushOut(
+                bind_to_body(Worn.of_database(database), job.body),
+                ClearanceSettings(garment.wrinkles.clearance),
+                device,
+            )
         result = evaluate_frames(database, compared(), job.body.faces, device, weights, push)
     if options.keep:
         write_evaluation(database.folder, database.header.key, result)
