@@ -105,4 +105,6 @@ def read_clip(
 ) -> Iterator[ClipFrame]:
     """Step the scene through frames and read the garment's armature at each; arguments as of :class:`ClipReader`."""
     reader = ClipReader(garment, rig, scale)
-    return (reader.read(frame) for frame in step_frames(frames))
+    # A loop lets go of the stepping at an error; a generator expression would hold it until the traceback is gone.
+    for frame in step_frames(frames):
+        yield reader.read(frame)

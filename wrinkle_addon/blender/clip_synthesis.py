@@ -92,7 +92,9 @@ class ClipSynthesis:
 
     def positions(self, frames: range) -> Iterator[NDArray[np.float32]]:
         """The garment in its object space in every frame, shape [vertex_count, 3] each."""
-        return (self._at(frame) for frame in step_frames(frames))
+        # A loop lets go of the stepping at an error; a generator expression would hold it until the traceback is gone.
+        for frame in step_frames(frames):
+            yield self._at(frame)
 
     def _at(self, frame: float) -> NDArray[np.float32]:
         """The garment in the frame that the scene is at."""

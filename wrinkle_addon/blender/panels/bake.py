@@ -13,6 +13,7 @@ class WRINKLE_PT_bake(GarmentPanel, bpy.types.Panel):
     """Bake the samples in another process; finished ones are kept, whatever happens"""
 
     bl_label = "Bake"
+    bl_options = set()  # noqa: RUF012 - Blender wants a plain set
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, (garment, settings) = self.layout, garment_of(context)

@@ -7,7 +7,7 @@ import bpy
 from ..guess import guess_character
 from ..inspection import Finding, found
 from ..properties import active_garment
-from .layout import GarmentPanel, WrinklePanel, garment_of, say, translated
+from .layout import GarmentPanel, WrinklePanel, garment_of, say, settings_column, translated
 
 
 class WRINKLE_PT_character(WrinklePanel, bpy.types.Panel):
@@ -23,8 +23,9 @@ class WRINKLE_PT_character(WrinklePanel, bpy.types.Panel):
         settings = garment.wrinkles
         column = layout.column(align=True)
         _role(column, "Garment", garment, "MATCLOTH")
+        settings_of_roles = settings_column(column)
         for name, icon in (("body", "MESH_DATA"), ("armature", "ARMATURE_DATA")):
-            row = column.row()
+            row = settings_of_roles.row()
             row.alert = getattr(settings, name) is None
             row.prop(settings, name, icon=icon)
         row = layout.row(align=True)

@@ -38,6 +38,7 @@ class WRINKLE_PT_joints(GarmentPanel, bpy.types.Panel):
     """Joints that wrinkle the garment"""
 
     bl_label = "Joints"
+    bl_options = set()  # noqa: RUF012 - Blender wants a plain set
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, (garment, settings) = self.layout, garment_of(context)
@@ -46,10 +47,10 @@ class WRINKLE_PT_joints(GarmentPanel, bpy.types.Panel):
         layout.template_list("WRINKLE_UL_joints", "", settings, "joints", settings, "active_joint", rows=5)
         if 0 <= settings.active_joint < len(settings.joints):
             _draw_joint(context, layout, garment, settings.joints[settings.active_joint])
-        row = layout.row(align=True)
-        row.operator("wrinkle.mirror_joint", icon="MOD_MIRROR")
-        row.operator("wrinkle.take_ranges", icon="ACTION")
-        layout.operator("wrinkle.show_influence", icon="COLOR")
+        column = layout.column(align=True)
+        column.operator("wrinkle.mirror_joint", icon="MOD_MIRROR")
+        column.operator("wrinkle.take_ranges", icon="ACTION")
+        column.operator("wrinkle.show_influence", icon="COLOR")
         for note in settings.notes.splitlines():
             say(context, layout, note, icon="INFO")
 

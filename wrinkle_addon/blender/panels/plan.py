@@ -16,6 +16,7 @@ class WRINKLE_PT_plan(GarmentPanel, bpy.types.Panel):
     """The samples that a bake makes, and what they cost"""
 
     bl_label = "Plan"
+    bl_options = set()  # noqa: RUF012 - Blender wants a plain set
 
     def draw_header_preset(self, context: bpy.types.Context) -> None:
         WRINKLE_PT_plan_presets.draw_panel_header(self.layout)
@@ -33,7 +34,7 @@ class WRINKLE_PT_plan(GarmentPanel, bpy.types.Panel):
             return
         numbers = {
             "Samples": translated("{all}, {own} to simulate").format(all=preview.samples, own=preview.simulated),
-            "Size": translated("{size:.3g} MB at most").format(size=preview.megabytes),
+            "Size": translated("{size:.1f} MB at most").format(size=max(preview.megabytes, 0.1)),
             "Time": translated("about {time} on one core").format(time=preview.duration),
         }
         try:

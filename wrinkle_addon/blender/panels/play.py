@@ -8,6 +8,9 @@ import numpy as np
 from .. import playback
 from .layout import GarmentPanel, garment_of, say, settings_column, translated
 
+LEAST_SAID = 0.5
+"""A joint that goes less than this beyond its samples is not worth a word [degrees]."""
+
 
 class WRINKLE_PT_play(GarmentPanel, bpy.types.Panel):
     """Wrinkles with every pose"""
@@ -53,6 +56,8 @@ def _draw_status(context: bpy.types.Context, layout: bpy.types.UILayout, garment
         return
     for name, beyond in status.player.clamped.items():
         angle = float(np.degrees(np.abs(beyond).max()))
+        if angle < LEAST_SAID:
+            continue
         text = translated("{name} is {angle:.0f}° beyond its samples").format(name=name, angle=angle)
         layout.label(text=text, icon="INFO")
     for note in (status.player.coarse.note, status.player.note):
