@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _thread
+import signal
 import threading
 from typing import TextIO
 
@@ -16,11 +17,16 @@ class Attendance:
     A window that crashes takes nothing down by itself; the pipe that it held closes, and this process is interrupted
     as by Ctrl-C.
 
+    Made in the main thread.
+
     Args:
         stream: The reading end.
     """
 
     def __init__(self, stream: TextIO):
+        # What a shell starts in its background ignores Ctrl-C, and its children after it.
+        if signal.getsignal(signal.SIGINT) in (signal.SIG_IGN, signal.SIG_DFL):
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         self._may_go_on = threading.Event()
         self._may_go_on.set()
         threading.Thread(target=self._listen, args=(stream,), daemon=True).start()
