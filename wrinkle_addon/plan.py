@@ -25,8 +25,8 @@ CURVING = 0.17
 TWIST, HINGE = 0.5, 0.2
 """How far a limb's twist and a hinge move cloth for their angle, beside a ball's swing (measured on a shirt)."""
 SECONDS_PER_VERTEX = 1.2e-3
-"""Measured time of one sample a vertex on one CPU core [s]: the mean over the demo's plan, 592 s for 37 samples of 11,775
-vertices, less a little for the other work on that machine."""
+"""Measured time of one sample a vertex on one CPU core [s]: the mean over the demo's plan, 592 s for 37 samples of
+11,775 vertices, less a little for the other work on that machine."""
 LEAST_RANGE = np.radians(5.0)
 """Sides of a range that are smaller than this are not sampled."""
 
