@@ -289,6 +289,33 @@ def find_facing_plane(
 
 
 @wp.func
+def find_burying_plane(
+    planes: ContactPlanes, body: BodySurface, reach: ContactReach, world: wp.int32, vertex: wp.int32, x: wp.vec3d
+) -> wp.float32:
+    """The plane of the closest skin, if the vertex lies in the body under it while it faces the first plane and leads out
+    of the body; the vertex's distance from it [m], negative.
+
+    So a vertex gets out of the limb across even if its own skin is in there too, at the edge of where the two meet.
+    """
+    first = vertex * PLANES
+    p = wp.vec3(x)
+    query = wp.mesh_query_point_no_sign(body.meshes[world], p, 2.0 * reach.thickness)
+    if not query.result:
+        return NOWHERE
+    w = wp.vec3(query.u, query.v, 1.0 - query.u - query.v)
+    closest, direction, gap = side_of_skin(body, world, p, query.face, w)
+    own = wp.vec3(planes.normal[world, first])
+    if gap > -SKIN or wp.dot(direction, own) >= 0.0 or wp.dot(p - wp.vec3(planes.point[world, first]), own) <= 0.0:
+        return NOWHERE
+    above = closest + SUNK * direction
+    around = wp.mesh_query_point_sign_winding_number(body.meshes[world], above, reach.radius, ACCURACY, INSIDE)
+    if around.result and around.sign < 0.0:
+        return NOWHERE
+    hold_plane(planes, body, world, first + 1, x, query.face, w, closest, direction, gap)
+    return gap
+
+
+@wp.func
 def find_held_plane(
     planes: ContactPlanes,
     body: BodySurface,
@@ -339,6 +366,8 @@ def find_contact_planes(
     planes.face[world, first + 1] = -1
     if find_first_plane(planes, body, reach, world, vertex, x, limbs[vertex], outward[world, vertex], free):
         gap = find_facing_plane(planes, body, reach, world, vertex, x)
+        if gap == NOWHERE and free.radius[world, vertex] == 0.0:
+            gap = find_burying_plane(planes, body, reach, world, vertex, x)
         for k in range(PLANES):
             held = held_face[world, first + k]
             if gap > reach.thickness and held >= 0:

@@ -169,6 +169,39 @@ def test_skin_that_lies_inside_another_limb_leaves_its_vertex_free_of_that(devic
     assert np.allclose(normal[:, 0], up, atol=1e-6)
 
 
+def test_a_vertex_at_the_edge_of_where_limbs_meet_gets_out_of_the_limb_across(device):
+    """Two boards that cut into each other left of x = 0.1 and part to the right of it, like the crook of an elbow.
+
+    The vertex's own skin lies in the other limb, so that nothing is met on the way from there; the closest skin is free.
+    """
+    body, faces, of_triangles = facing_boards(0.0, 0.0)
+    angle = 0.6
+    across = body[len(body) // 2 :]
+    across[:, 2] += np.tan(angle) * (across[:, 0] - 0.1)
+    along, out = np.array([np.cos(angle), 0.0, np.sin(angle)]), np.array([np.sin(angle), 0.0, -np.cos(angle)])
+    points, up = np.tile([0.1, 0.07, 0.0] + 0.002 * along - 0.005 * out, (4, 1)), np.tile([0.0, 0.0, 1.0], (4, 1))
+    assert points[0, 0] < 0.1
+    limbs = Limbs(of_triangles, np.ones(4, np.int32))
+    face, point, normal = found(searching(points, body, faces, device, up, limbs))
+    assert (of_triangles[face] == [0, 1]).all()
+    # Normals are kept in float32 until they are made unit vectors.
+    assert np.allclose(normal[:, 1], out, atol=1e-6)
+    assert np.allclose(((points - point[:, 1]) * normal[:, 1]).sum(1), -0.005, atol=FLOAT32)
+
+
+def test_the_far_side_of_a_limb_draws_nothing_through_it(device):
+    """As an arm that swept into cloth which hangs beside the trunk."""
+    board, board_faces = sheet(4, 4, 0.2, 0.2)
+    body = np.concatenate([board, raised(board, 0.01)])
+    faces, of_triangles = (
+        np.concatenate([board_faces, board_faces + len(board)]),
+        np.repeat([0, 1], len(board_faces)).astype(np.int32),
+    )
+    points, up = np.tile([[0.11, 0.07, 0.006]], (4, 1)), np.tile([0.0, 0.0, 1.0], (4, 1))
+    face, _point, _normal = found(searching(points, body, faces, device, up, Limbs(of_triangles, np.ones(4, np.int32))))
+    assert (of_triangles[face[:, 0]] == 0).all() and (face[:, 1] == -1).all()
+
+
 def test_worn_skin_far_above_nearer_skin_is_the_other_side_of_a_limb(device):
     body, faces, of_triangles = facing_boards(0.03, -0.001)
     points, up = np.tile([[0.11, 0.07, 0.0]], (4, 1)), np.tile([0.0, 0.0, 1.0], (4, 1))
