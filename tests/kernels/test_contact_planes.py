@@ -193,10 +193,8 @@ def test_the_far_side_of_a_limb_draws_nothing_through_it(device):
     """As an arm that swept into cloth which hangs beside the trunk."""
     board, board_faces = sheet(4, 4, 0.2, 0.2)
     body = np.concatenate([board, raised(board, 0.01)])
-    faces, of_triangles = (
-        np.concatenate([board_faces, board_faces + len(board)]),
-        np.repeat([0, 1], len(board_faces)).astype(np.int32),
-    )
+    faces = np.concatenate([board_faces, board_faces + len(board)])
+    of_triangles = np.repeat([0, 1], len(board_faces)).astype(np.int32)
     points, up = np.tile([[0.11, 0.07, 0.006]], (4, 1)), np.tile([0.0, 0.0, 1.0], (4, 1))
     face, _point, _normal = found(searching(points, body, faces, device, up, Limbs(of_triangles, np.ones(4, np.int32))))
     assert (of_triangles[face[:, 0]] == 0).all() and (face[:, 1] == -1).all()
