@@ -172,7 +172,7 @@ def test_skin_that_lies_inside_another_limb_leaves_its_vertex_free_of_that(devic
 def test_a_vertex_at_the_edge_of_where_limbs_meet_gets_out_of_the_limb_across(device):
     """Two boards that cut into each other left of x = 0.1 and part to the right of it, like the crook of an elbow.
 
-    The vertex's own skin lies in the other limb, so that nothing is met on the way from there; the closest skin is free.
+    The vertex's own skin lies in the other limb, so that the way from there meets nothing; the closest skin is free.
     """
     body, faces, of_triangles = facing_boards(0.0, 0.0)
     angle = 0.6
