@@ -14,7 +14,7 @@ from dolls import doll
 from figures import build_figure
 from file_contents import differences, file_contents
 from small_character import Bumps, build_arm, empty_scene, evaluated_positions
-from wrinkle_synthesis.wrinkle_addon.blender import bake_process
+from wrinkle_synthesis.wrinkle_addon.blender import file_process
 from wrinkle_synthesis.wrinkle_addon.blender.bake_process import BakeProcess
 from wrinkle_synthesis.wrinkle_addon.blender.node_group import find_modifier
 
@@ -128,7 +128,7 @@ def test_a_mesh_of_another_number_of_vertices_keeps_its_wrinkles(figure: None) -
 def test_a_cancelled_bake_leaves_the_file_as_it_was(
     bumps: Bumps, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bake_process, "own_command", lambda *arguments: [sys.executable, "-c", "input()"])
+    monkeypatch.setattr(file_process, "own_command", lambda *arguments: [sys.executable, "-c", "input()"])
     empty_scene()
     arm = build_arm()
     arm.sleeve.wrinkles.database = str(tmp_path / "s.wrinkles")

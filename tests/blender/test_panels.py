@@ -13,8 +13,9 @@ from fake_layout import SidebarContext, draw
 from figures import build_figure
 from small_character import Arm, Bumps, build_arm, empty_scene
 from wrinkle_synthesis.operators import registration
-from wrinkle_synthesis.wrinkle_addon.blender import bake_process, flow_panel, panels, playback
-from wrinkle_synthesis.wrinkle_addon.blender.bake_process import BakeProcess, BakeProgress, running
+from wrinkle_synthesis.wrinkle_addon.blender import file_process, flow_panel, panels, playback
+from wrinkle_synthesis.wrinkle_addon.blender.bake_process import BakeProcess, BakeProgress
+from wrinkle_synthesis.wrinkle_addon.blender.file_process import BAKE, running
 from wrinkle_synthesis.wrinkle_addon.blender.guess import guess_character
 from wrinkle_synthesis.wrinkle_addon.blender.inspection import found
 from wrinkle_synthesis.wrinkle_addon.blender.plan_preview import preview_plan
@@ -229,7 +230,8 @@ def test_a_joint_of_the_middle_has_nothing_to_mirror(arm: Arm) -> None:
 
 def test_a_running_bake_tells_how_far_it_is(arm: Arm) -> None:
     class Running:
-        paused = False
+        verb, doing = BAKE, "Baking wrinkles"
+        paused = stopped = False
         progress = BakeProgress(3, 12, "elbow_L-2", 90.0, 0.013, ("elbow_L-1",))
 
     running[arm.sleeve.session_uid] = Running()
@@ -238,11 +240,11 @@ def test_a_running_bake_tells_how_far_it_is(arm: Arm) -> None:
         assert "3 of 12 samples, 2 min left" in shown.labels
         assert "elbow_L-2, residual 0.013" in shown.labels
         assert "1 did not come to rest" in shown.labels
-        assert {"wrinkle.pause_bake", "wrinkle.cancel_bake"} <= set(shown.operators)
+        assert {"wrinkle.pause_bake", "wrinkle.stop_process"} <= set(shown.operators)
         assert not bpy.ops.wrinkle.bake.poll()
     finally:
         running.clear()
-    assert not bpy.ops.wrinkle.pause_bake.poll() and not bpy.ops.wrinkle.cancel_bake.poll()
+    assert not bpy.ops.wrinkle.pause_bake.poll() and not bpy.ops.wrinkle.stop_process.poll()
 
 
 def wait_for(process: BakeProcess, done: int) -> None:
@@ -272,7 +274,7 @@ def test_a_paused_bake_waits_with_the_next_sample_and_goes_on(arm: Arm, tmp_path
 def test_two_windows_do_not_bake_into_one_folder(arm: Arm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 
-    monkeypatch.setattr(bake_process, "own_command", lambda *arguments: [sys.executable, "-c", "input()"])
+    monkeypatch.setattr(file_process, "own_command", lambda *arguments: [sys.executable, "-c", "input()"])
     arm.sleeve.wrinkles.database = str(tmp_path / "s.wrinkles")
     with BakeProcess(arm.sleeve):
         with pytest.raises(ValueError, match="Another Blender is baking into"):

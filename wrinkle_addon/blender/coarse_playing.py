@@ -23,6 +23,7 @@ from .coarse_scene import (
     read_spec,
     simulated_garments,
 )
+from .file_process import SIMULATE, running
 from .preferences import device_name
 
 Garments = Sequence[bpy.types.Object]
@@ -88,6 +89,9 @@ class PlayedCache:
         Raises:
             NotSimulated: If the simulation must be built first, which it is then, or cannot be; one sentence.
         """
+        if any(process.verb == SIMULATE for process in running.values()):
+            # Who fills a cache goes through its frames alone.
+            return
         scene = depsgraph.scene
         frame = scene.frame_current
         garments = simulated_garments(garment, scene)
