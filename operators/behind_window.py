@@ -35,7 +35,7 @@ class BehindWindow:
         return {"RUNNING_MODAL"}
 
     def done(self, context: bpy.types.Context, garment: bpy.types.Object, process: FileProcess) -> set[str]:
-        """Show what the process has made."""
+        """Show what the process has made; as long as this answers RUNNING_MODAL, it is called once more a tick."""
         raise NotImplementedError
 
     def dropped(self, context: bpy.types.Context) -> None:
@@ -56,7 +56,8 @@ class BehindWindow:
                 context.workspace.status_text_set(_status(self._process))
                 _redraw(context)
                 return {"PASS_THROUGH"}
-            answer = self._outcome(context)
+            if (answer := self._outcome(context)) == {"RUNNING_MODAL"}:
+                return answer
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             answer = {"CANCELLED"}

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import bpy
 
-from ..wrinkle_addon.blender.evaluation_charts import show_evaluation
+from ..wrinkle_addon.blender.evaluation_charts import draw_evaluation
 from ..wrinkle_addon.blender.file_process import EVALUATE, FileProcess
 from ..wrinkle_addon.blender.files import database_folder
 from ..wrinkle_addon.blender.preferences import device_name
@@ -23,6 +25,7 @@ class WRINKLE_OT_evaluate(BehindWindow, bpy.types.Operator):
     bl_label = "Evaluate"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender wants a plain set
 
+    _charts: Iterator[str] | None = None
     stopping = "Evaluating stopped; an earlier evaluation is kept."
 
     reference: bpy.props.EnumProperty(
@@ -73,15 +76,23 @@ class WRINKLE_OT_evaluate(BehindWindow, bpy.types.Operator):
                 return self.start(context, garment, process)
             with process:
                 work_through(process)
-                return self.done(context, garment, process)
+                while (answer := self.done(context, garment, process)) == {"RUNNING_MODAL"}:
+                    pass
+                return answer
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
 
     def done(self, context: bpy.types.Context, garment: bpy.types.Object, process: FileProcess) -> set[str]:
-        images = show_evaluation(context, garment)
+        """A chart a tick."""
+        if self._charts is None:
+            self._charts, self._images = draw_evaluation(context, garment), []
+        image = next(self._charts, None)
+        if image is not None:
+            self._images.append(image)
+            return {"RUNNING_MODAL"}
         error = process.result["rmse_mm"]["ours"]
-        self.report({"INFO"}, f"{error:.2f} mm RMS; {', '.join(images)} are images for the Image Editor.")
+        self.report({"INFO"}, f"{error:.2f} mm RMS; {', '.join(self._images)} are images for the Image Editor.")
         return {"FINISHED"}
 
     def _arguments(self, context: bpy.types.Context, garment: bpy.types.Object) -> list[str]:

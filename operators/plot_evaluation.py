@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..wrinkle_addon.blender.evaluation_charts import show_evaluation
+from ..wrinkle_addon.blender.evaluation_charts import draw_evaluation
 from ..wrinkle_addon.blender.properties import active_garment
 from .polls import has_samples
 
@@ -24,7 +24,7 @@ class WRINKLE_OT_plot_evaluation(bpy.types.Operator):
         garment = active_garment(context)
         assert garment is not None
         try:
-            images = show_evaluation(context, garment)
+            images = list(draw_evaluation(context, garment))
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

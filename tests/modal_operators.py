@@ -60,6 +60,9 @@ def operator_of(
     described = getattr(getattr(bpy.ops, group), name).get_rna_type().properties
     defaults = {each.identifier: each.default for each in described if hasattr(each, "default")}
     made = SimpleNamespace(**{**defaults, **chosen}, stopping=cls.stopping)
+    for attribute, value in vars(cls).items():
+        if attribute.startswith("_") and value is None:
+            setattr(made, attribute, None)
     made.properties = SimpleNamespace(is_property_set=lambda name: name in chosen)
     made.report = lambda kind, text: window.told.append(text)
     for base in reversed(cls.__mro__):
@@ -74,7 +77,7 @@ def tick_until_done(
 ) -> set[str]:
     """Send ticks as a window does until the operator has ended; ``between`` is called after each but the last."""
     end = time.monotonic() + LONG
-    while (answer := operator.modal(window, TIMER)) == {"PASS_THROUGH"}:
+    while (answer := operator.modal(window, TIMER)) in ({"PASS_THROUGH"}, {"RUNNING_MODAL"}):
         assert time.monotonic() < end
         between()
         time.sleep(0.05)

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import bpy
 import numpy as np
 
 from ..evaluation_record import read_evaluation
-from .charts import Chart, show_charts
+from .charts import Chart, draw_charts
 from .samples import open_database
 
 METHODS = ("ours", "skinning")
 """Whose figures are drawn, side by side."""
 
 
-def show_evaluation(context: bpy.types.Context, garment: bpy.types.Object) -> list[str]:
-    """Draw error and curvature over the evaluated frames; returns the images' names.
+def draw_evaluation(context: bpy.types.Context, garment: bpy.types.Object) -> Iterator[str]:
+    """Draw error and curvature over the evaluated frames, a chart a step; yields the images' names.
 
     Raises:
         ValueError: If there is no evaluation; one sentence that says what to do.
@@ -26,7 +26,7 @@ def show_evaluation(context: bpy.types.Context, garment: bpy.types.Object) -> li
     result = read_evaluation(database.folder, database.header.key)
     if result is None:
         raise ValueError("There is no evaluation yet; evaluate the garment first.")
-    return show_charts(context, garment.name, _charts(result["frames"]))
+    yield from draw_charts(context, garment.name, _charts(result["frames"]))
 
 
 def _charts(frames: list[Mapping[str, Any]]) -> dict[str, Chart]:
