@@ -360,6 +360,9 @@ class GarmentSettings(bpy.types.PropertyGroup):
     mirror_signs: bpy.props.StringProperty(
         options={"HIDDEN"}, description="Factors of the angles of mirrored joints, if the character is symmetric; JSON"
     )
+    corrections: bpy.props.StringProperty(
+        options={"HIDDEN"}, description="Versions of samples that were chosen in this file, which undo follows; JSON"
+    )
     notes: bpy.props.StringProperty(description="Sentences on joints that were not found, one a line")
     active_joint: bpy.props.IntProperty(name="Joint", description="The joint that is chosen in the list")
     plan: bpy.props.EnumProperty(

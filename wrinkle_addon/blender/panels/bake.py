@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..bake_process import BakeProgress
+from ..correction_undo import problems
 from ..file_process import BAKE, FileProcess, process_of
 from ..samples import chosen_sample
 from .layout import GarmentPanel, axis_names, draw_process, garment_of, say, settings_column, translated
@@ -64,8 +65,13 @@ class WRINKLE_PT_samples(GarmentPanel, bpy.types.Panel):
             layout.label(text=sample.name, icon="SCULPTMODE_HLT" if corrected else "MESH_DATA", translate=False)
         column = layout.column(align=True)
         column.operator("wrinkle.open_sample", icon="SCULPTMODE_HLT")
-        column.operator("wrinkle.write_sample", icon="FILE_TICK")
+        row = column.row(align=True)
+        row.operator("wrinkle.write_sample", icon="FILE_TICK").mirror = ghost.mirrors
+        if settings.use_symmetry and settings.mirror_signs:
+            row.prop(ghost, "mirrors", text="", icon="MOD_MIRROR")
         column.operator("wrinkle.restore_sample", icon="LOOP_BACK")
+        if (problem := problems.get(garment.session_uid)) is not None:
+            say(context, layout, problem, icon="ERROR")
 
 
 classes = (WRINKLE_PT_bake, WRINKLE_PT_samples)
