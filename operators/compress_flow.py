@@ -38,6 +38,7 @@ class WRINKLE_OT_compress_flow(BehindWindow, bpy.types.Operator):
     frame_end: bpy.props.IntProperty(name="To", description="Last frame, of the scene's garment")
     goal: bpy.props.EnumProperty(
         name="Goal",
+        description="What decides the size of the file",
         items=[
             ("RMS", "Error", "Smallest file whose root mean square error keeps to a bound"),
             ("MAX", "Largest Error", "Smallest file in which no vertex goes beyond an error"),
@@ -45,11 +46,14 @@ class WRINKLE_OT_compress_flow(BehindWindow, bpy.types.Operator):
             ("SIZE", "Size", "Least error for a file size"),
         ],
     )
-    error: bpy.props.FloatProperty(name="Error", default=0.5, min=0.001, description="Millimetres")
-    components: bpy.props.IntProperty(name="Components", default=30, min=1)
+    error: bpy.props.FloatProperty(name="Error", default=0.5, min=0.001, description="Bound that is kept to, mm")
+    components: bpy.props.IntProperty(
+        name="Components", default=30, min=1, description="Shapes that every frame is mixed of"
+    )
     size: bpy.props.IntProperty(name="Size", default=1000, min=1, description="Kilobytes")
     weights: bpy.props.EnumProperty(
         name="Weights",
+        description="By which the bones carry the garment; what they leave over is what is compressed",
         items=[
             ("own", "Own", "The garment's own vertex groups"),
             ("nearest", "Nearest Vertex", "Of the nearest body vertices, as in the paper"),

@@ -12,7 +12,6 @@ from dolls import doll
 from fake_layout import SidebarContext, draw
 from figures import build_figure
 from small_character import Arm, Bumps, build_arm, empty_scene
-from wrinkle_synthesis.operators import registration
 from wrinkle_synthesis.wrinkle_addon.blender import file_process, flow_panel, panels, playback
 from wrinkle_synthesis.wrinkle_addon.blender.bake_process import BakeProcess, BakeProgress
 from wrinkle_synthesis.wrinkle_addon.blender.file_process import BAKE, running
@@ -63,22 +62,6 @@ def test_without_a_garment_there_is_the_first_step_alone() -> None:
     shown = [panel for panel in all_panels() if not hasattr(panel, "poll") or panel.poll(context)]
     assert shown == [panels.character.WRINKLE_PT_character]
     assert "Select the garment" in draw(panels.character.WRINKLE_PT_character).text
-
-
-def test_everything_that_is_set_has_a_tooltip() -> None:
-    bare = []
-    for cls in [cls for module in registration.MODULES for cls in module.classes]:
-        if issubclass(cls, bpy.types.Operator):
-            assert cls.__doc__, cls.__name__
-            described = cls.bl_rna.properties
-        elif issubclass(cls, bpy.types.PropertyGroup):
-            described = cls.bl_rna.properties
-        else:
-            continue
-        own = [described[name] for name in cls.__annotations__ if name in described]
-        shown = [each for each in own if not each.is_hidden and each.type not in ("POINTER", "COLLECTION")]
-        bare += [f"{cls.__name__}.{each.identifier}" for each in shown if not each.description]
-    assert not bare, ", ".join(bare)
 
 
 # --- the character ------------------------------------------------------------------------------------------------

@@ -97,7 +97,7 @@ def defined_joint(name: str, definition: str, low: Sequence[float], high: Sequen
 class JointSettings(bpy.types.PropertyGroup):
     """One joint of a garment."""
 
-    name: bpy.props.StringProperty(name="Joint", description="elbow_L, spine, ...")
+    name: bpy.props.StringProperty(name="Joint", description="Such as elbow_L or spine")
     enabled: bpy.props.BoolProperty(name="Sample", default=True, description="Bake samples of this joint")
     strength: bpy.props.FloatProperty(
         name="Strength",
