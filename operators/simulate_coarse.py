@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import bpy
 
 from ..wrinkle_addon.blender import playback
+from ..wrinkle_addon.blender.coarse_playing import played_cache
 from ..wrinkle_addon.blender.coarse_scene import SIMULATION, cache_folder
 from ..wrinkle_addon.blender.file_process import SIMULATE, FileProcess
 from ..wrinkle_addon.blender.handlers import suspended
@@ -75,7 +76,9 @@ class WRINKLE_OT_simulate_coarse(BehindWindow, bpy.types.Operator):
             self.report({"INFO"}, reason)
         self.report({"INFO"}, f"{simulated} frames simulated, {kept} kept")
         for garment in filter(None, map(bpy.data.objects.get, garments)):
-            playback.forget(garment)
+            # What it is bound to is as it was; only the frames are other ones.
+            played_cache(cache_folder(garment)).renew()
+            playback.doubt(garment)
         context.scene.frame_set(context.scene.frame_current)
         return {"FINISHED"}
 

@@ -129,7 +129,8 @@ def test_the_coarse_layer_is_simulated_behind_the_window(
     monkeypatch.setattr(coarse_layer, "in_background", lambda: False)
     window = Window()
     operator = operator_of(simulate_coarse.WRINKLE_OT_simulate_coarse, simulate_coarse, window, monkeypatch)
-
+    bpy.context.view_layer.update()
+    player = playback.status(arm.sleeve).player
     run(lambda: operator.invoke(window, None), operator, window, work)
     assert f"{FRAMES} frames simulated, 0 kept" in window.told
     assert Path(bpy.path.abspath(settings.coarse_cache)).is_dir()
@@ -137,6 +138,8 @@ def test_the_coarse_layer_is_simulated_behind_the_window(
         bpy.context.scene.frame_set(frame)
         known = playback.status(arm.sleeve)
         assert known.error == "" and known.player is not None and known.player.coarse.note == ""
+        # Binding takes the longest, and is not done again.
+        assert known.player is player
 
 
 def test_playing_does_not_fill_a_cache_that_a_process_fills(

@@ -63,6 +63,11 @@ class PlayedCache:
         if self._history is None:
             self._cache = None
 
+    def renew(self) -> None:
+        """Read the cache anew: somebody else has filled it."""
+        self._cache = self._history = None
+        self.doubt()
+
     def positions(self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Points:
         """Where a garment's coarse layer lies in the depsgraph's frame, in world axes [m].
 
