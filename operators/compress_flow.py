@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import bpy
 
 from ..wrinkle_addon.blender import playback
-from ..wrinkle_addon.blender.flow_compression import compression
+from ..wrinkle_addon.blender.file_process import COMPRESS, FileProcess
+from ..wrinkle_addon.blender.files import check_output
+from ..wrinkle_addon.blender.flow_compression import check_recorded, compress_garment
 from ..wrinkle_addon.blender.flow_recording import SCENE, RecordingChoice
 from ..wrinkle_addon.blender.properties import active_garment
-from ..wrinkle_addon.flow_compress import Compressed, Goal
+from ..wrinkle_addon.flow_compress import Goal
 from ..wrinkle_addon.flow_file import SUFFIX
-from ..wrinkle_addon.steps import describe_left, finish
+from .behind_window import BehindWindow
+from .polls import has_garment, is_idle
 
 
-class WRINKLE_OT_compress_flow(bpy.types.Operator):
+class WRINKLE_OT_compress_flow(BehindWindow, bpy.types.Operator):
     """Compress a recorded animation of the garment, and replay it from now on"""
 
     bl_idname = "wrinkle.compress_flow"
     bl_label = "Compress Recording"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender wants a plain set
+
+    stopping = "Compressing stopped; no file was written."
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", description="The .flow file to write")
     filter_glob: bpy.props.StringProperty(default=f"*{SUFFIX}", options={"HIDDEN"})
@@ -34,6 +38,7 @@ class WRINKLE_OT_compress_flow(bpy.types.Operator):
     frame_end: bpy.props.IntProperty(name="To", description="Last frame, of the scene's garment")
     goal: bpy.props.EnumProperty(
         name="Goal",
+        description="What decides the size of the file",
         items=[
             ("RMS", "Error", "Smallest file whose root mean square error keeps to a bound"),
             ("MAX", "Largest Error", "Smallest file in which no vertex goes beyond an error"),
@@ -41,11 +46,14 @@ class WRINKLE_OT_compress_flow(bpy.types.Operator):
             ("SIZE", "Size", "Least error for a file size"),
         ],
     )
-    error: bpy.props.FloatProperty(name="Error", default=0.5, min=0.001, description="Millimetres")
-    components: bpy.props.IntProperty(name="Components", default=30, min=1)
+    error: bpy.props.FloatProperty(name="Error", default=0.5, min=0.001, description="Bound that is kept to, mm")
+    components: bpy.props.IntProperty(
+        name="Components", default=30, min=1, description="Shapes that every frame is mixed of"
+    )
     size: bpy.props.IntProperty(name="Size", default=1000, min=1, description="Kilobytes")
     weights: bpy.props.EnumProperty(
         name="Weights",
+        description="By which the bones carry the garment; what they leave over is what is compressed",
         items=[
             ("own", "Own", "The garment's own vertex groups"),
             ("nearest", "Nearest Vertex", "Of the nearest body vertices, as in the paper"),
@@ -56,7 +64,7 @@ class WRINKLE_OT_compress_flow(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return active_garment(context) is not None
+        return has_garment(cls, context) and is_idle(cls)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         garment = active_garment(context)
@@ -69,65 +77,50 @@ class WRINKLE_OT_compress_flow(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Step by step in the window, until it is done or Esc is pressed; to the end where there is none."""
+        """Behind the window; to the end where there is none."""
         garment = active_garment(context)
         assert garment is not None
         try:
-            out = Path(bpy.path.abspath(self.filepath))
-            steps = compression(garment, self._choice(context), self._goal(), out)
-            if bpy.app.background:
-                return self._finish(garment, out, finish(steps, lambda share, text: None))
+            out = self._out = Path(bpy.path.abspath(self.filepath))
+            check_output(out, SUFFIX)
+            check_recorded(garment)
+            if not bpy.app.background:
+                return self.start(
+                    context, garment, FileProcess(garment, COMPRESS, self._arguments(context), doing="Compressing")
+                )
+            made = compress_garment(garment, self._choice(context), self._goal(), out, lambda share, text: None)
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self._steps, self._out, self._garment = steps, out, garment.session_uid
-        self._began = time.monotonic()
-        self._timer = context.window_manager.event_timer_add(0.0, window=context.window)
-        context.window_manager.progress_begin(0.0, 1.0)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        return self._replay(garment, made.rms_mm, [made.note] if made.note else [])
 
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if event.type == "ESC":
-            self.cancel(context)
-            self.report({"INFO"}, "Compressing stopped; no file was written.")
-            return {"CANCELLED"}
-        # Until it is done the scene's frames are gone through, so that nothing else may happen.
-        if event.type != "TIMER":
-            return {"RUNNING_MODAL"}
-        try:
-            share, text = next(self._steps)
-        except StopIteration as end:
-            self.cancel(context)
-            garment = next((ob for ob in bpy.data.objects if ob.session_uid == self._garment), None)
-            return {"FINISHED"} if garment is None else self._finish(garment, self._out, end.value)
-        except ValueError as error:
-            self.cancel(context)
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        left = describe_left(share, time.monotonic() - self._began)
-        context.workspace.status_text_set(f"Compressing the recording: {100 * share:.0f} %, {text}{left}. Esc stops.")
-        context.window_manager.progress_update(share)
-        return {"RUNNING_MODAL"}
+    def done(self, context: bpy.types.Context, garment: bpy.types.Object, process: FileProcess) -> set[str]:
+        return self._replay(garment, process.result["measured_rms_mm"], process.result["notes"])
 
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Leave nothing running and nothing behind; also called when another file is opened."""
-        self._steps.close()
-        context.window_manager.event_timer_remove(self._timer)
-        context.window_manager.progress_end()
-        if context.workspace is not None:
-            context.workspace.status_text_set(None)
-
-    def _finish(self, garment: bpy.types.Object, out: Path, made: Compressed) -> set[str]:
+    def _replay(self, garment: bpy.types.Object, rms_mm: float, notes: list[str]) -> set[str]:
         """Show what was compressed."""
+        out = self._out
         playback.forget(garment)
         garment.wrinkles.flow.path = bpy.path.relpath(str(out)) if bpy.data.filepath else str(out)
         garment.wrinkles.flow.replays = True
         garment.wrinkles.enabled = True
-        self.report({"INFO"}, f"{out.stat().st_size / 1e6:.3g} MB written to {out}, error {made.rms_mm:.3g} mm.")
-        if made.note:
-            self.report({"WARNING"}, made.note)
+        self.report({"INFO"}, f"{out.stat().st_size / 1e6:.3g} MB written to {out}, error {rms_mm:.3g} mm.")
+        for note in notes:
+            self.report({"WARNING"}, note)
         return {"FINISHED"}
+
+    def _arguments(self, context: bpy.types.Context) -> list[str]:
+        """What :meth:`execute` does, for the command line."""
+        choice = self._choice(context)
+        goal = {
+            "RMS": f"--error={self.error}",
+            "MAX": f"--max-error={self.error}",
+            "COMPONENTS": f"--components={self.components}",
+            "SIZE": f"--size={1000 * self.size}",
+        }[self.goal]
+        frames = f"--frames={choice.frames.start}:{choice.frames.stop - 1}"
+        recording = f"--recording={choice.recording}"
+        return [recording, frames, goal, f"--weights={choice.weights}", f"--out={self._out}"]
 
     def _choice(self, context: bpy.types.Context) -> RecordingChoice:
         first, last = self.frame_start, self.frame_end

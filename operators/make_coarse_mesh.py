@@ -18,7 +18,13 @@ class WRINKLE_OT_make_coarse_mesh(bpy.types.Operator):
     bl_label = "Make Coarse Mesh"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender wants a plain set
 
-    vertex_count: bpy.props.IntProperty(name="Vertices", default=VERTEX_COUNT, min=LEAST_COUNT, soft_max=5000)
+    vertex_count: bpy.props.IntProperty(
+        name="Vertices",
+        default=VERTEX_COUNT,
+        min=LEAST_COUNT,
+        soft_max=5000,
+        description="About how many the coarse mesh has; what is simulated takes time with each",
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

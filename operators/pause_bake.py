@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..wrinkle_addon.blender.bake_process import running
+from ..wrinkle_addon.blender.file_process import BAKE, running
 from .polls import bakes
 
 
@@ -20,7 +20,8 @@ class WRINKLE_OT_pause_bake(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         for process in running.values():
-            (process.go_on if process.paused else process.pause)()
+            if process.verb == BAKE:
+                (process.go_on if process.paused else process.pause)()
         return {"FINISHED"}
 
 

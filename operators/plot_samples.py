@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ..wrinkle_addon.blender.charts import Chart, show_charts
+from ..wrinkle_addon.blender.charts import Chart, draw_charts
 from ..wrinkle_addon.blender.properties import active_garment
 from ..wrinkle_addon.blender.samples import open_database
 from ..wrinkle_addon.database import WrinkleDatabase
@@ -32,7 +32,7 @@ class WRINKLE_OT_plot_samples(bpy.types.Operator):
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        images = show_charts(context, garment.name, charts)
+        images = list(draw_charts(context, garment.name, charts))
         self.report({"INFO"}, f"{', '.join(images)}: open them in the Image Editor.")
         return {"FINISHED"}
 

@@ -57,8 +57,10 @@ class WRINKLE_OT_apply_preset(bpy.types.Operator):
     bl_label = "Apply Preset"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender wants a plain set
 
-    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
-    menu_idname: bpy.props.StringProperty(options={"SKIP_SAVE"})
+    filepath: bpy.props.StringProperty(
+        subtype="FILE_PATH", options={"SKIP_SAVE", "HIDDEN"}, description="The preset's file"
+    )
+    menu_idname: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"}, description="The menu that shows its name")
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

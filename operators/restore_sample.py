@@ -14,6 +14,7 @@ class WRINKLE_OT_restore_sample(bpy.types.Operator):
 
     bl_idname = "wrinkle.restore_sample"
     bl_label = "Restore Baked Sample"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender wants a plain set
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -17,7 +17,7 @@ class WRINKLE_OT_setup_garment(bpy.types.Operator):
     bl_label = "Set Up Garment"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender wants a plain set
 
-    garment: bpy.props.StringProperty(name="Garment")
+    garment: bpy.props.StringProperty(name="Garment", description="The mesh that is to wrinkle")
     body: bpy.props.StringProperty(name="Body", description="The mesh that the garment is worn on")
     armature: bpy.props.StringProperty(name="Armature", description="Left out, the one that moves the body")
     subdivide: bpy.props.IntProperty(

@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from collections.abc import Iterable
 
 import bpy
 
 from ..wrinkle_addon.blender import playback
-from ..wrinkle_addon.blender.coarse_scene import SIMULATION
+from ..wrinkle_addon.blender.coarse_playing import played_cache
+from ..wrinkle_addon.blender.coarse_scene import SIMULATION, cache_folder
+from ..wrinkle_addon.blender.file_process import SIMULATE, FileProcess
 from ..wrinkle_addon.blender.handlers import suspended
 from ..wrinkle_addon.blender.preferences import device_name
 from ..wrinkle_addon.blender.properties import active_garment
-from ..wrinkle_addon.blender.simulate_coarse import CoarseBake, bake_coarse
+from ..wrinkle_addon.blender.simulate_coarse import bake_coarse
 from ..wrinkle_addon.folder_verbs import choose_device
-from .polls import has_garment
+from .behind_window import BehindWindow
+from .polls import has_garment, is_idle
 
 
-class WRINKLE_OT_simulate_coarse(bpy.types.Operator):
+class WRINKLE_OT_simulate_coarse(BehindWindow, bpy.types.Operator):
     """Simulate the coarse layers of this character over the scene's frames; frames that still fit are kept"""
 
     bl_idname = "wrinkle.simulate_coarse"
     bl_label = "Simulate"
 
+    stopping = "Simulating stopped; finished frames are kept for the next run."
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not has_garment(cls, context):
+        if not has_garment(cls, context) or not is_idle(cls):
             return False
         garment = active_garment(context)
         assert garment is not None
@@ -35,68 +40,45 @@ class WRINKLE_OT_simulate_coarse(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """To the end."""
+        garment, scene = active_garment(context), context.scene
+        assert garment is not None
         try:
             with suspended():
-                bake = self._prepare(context)
+                bake = bake_coarse(garment, scene.frame_start, scene.frame_end, choose_device(device_name()))
                 kept = sum(step.kept for step in bake.frames)
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        return self._finish(context, bake, kept)
+        return self._show(context, bake.reason, bake.garments, bake.last - bake.first + 1 - kept, kept)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Frame by frame in the window, until it is done or Esc is pressed; the next run goes on from there."""
-        self._open = ExitStack()
-        self._open.enter_context(suspended())
-        try:
-            self._bake, self._kept = self._prepare(context), 0
-        except ValueError as error:
-            self._open.close()
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self._open.callback(self._bake.frames.close)
-        self._timer = context.window_manager.event_timer_add(0.0, window=context.window)
-        self._open.callback(context.window_manager.event_timer_remove, self._timer)
-        self._open.callback(context.workspace.status_text_set, None)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if event.type == "ESC":
-            self.cancel(context)
-            self.report({"INFO"}, "Simulating stopped; finished frames are kept for the next run.")
-            return {"CANCELLED"}
-        if event.type != "TIMER":
-            return {"RUNNING_MODAL"}
-        try:
-            step = next(self._bake.frames, None)
-        except ValueError as error:
-            self.cancel(context)
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        if step is None:
-            self.cancel(context)
-            return self._finish(context, self._bake, self._kept)
-        self._kept += step.kept
-        context.workspace.status_text_set(f"Simulating frame {step.frame} of {self._bake.last}. Esc stops.")
-        return {"RUNNING_MODAL"}
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Leave nothing running; also called when another file is opened."""
-        self._open.close()
-
-    def _prepare(self, context: bpy.types.Context) -> CoarseBake:
+        """Behind the window; when it is stopped, the next run goes on from there."""
         garment, scene = active_garment(context), context.scene
         assert garment is not None
-        bake = bake_coarse(garment, scene.frame_start, scene.frame_end, choose_device(device_name()))
-        if bake.reason:
-            self.report({"INFO"}, bake.reason)
-        return bake
+        arguments = ["--device", device_name(), f"--frames={scene.frame_start}:{scene.frame_end}"]
+        try:
+            # A folder that cannot be is said at once.
+            cache_folder(garment)
+            process = FileProcess(garment, SIMULATE, arguments, doing="Simulating the coarse layer")
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return self.start(context, garment, process)
 
-    def _finish(self, context: bpy.types.Context, bake: CoarseBake, kept: int) -> set[str]:
-        self.report({"INFO"}, f"{bake.last - bake.first + 1 - kept} frames simulated, {kept} kept")
-        for name in bake.garments:
-            playback.forget(bpy.data.objects[name])
+    def done(self, context: bpy.types.Context, garment: bpy.types.Object, process: FileProcess) -> set[str]:
+        told = process.result
+        return self._show(context, told["replaced"], told["garments"], told["simulated"], told["kept"])
+
+    def _show(
+        self, context: bpy.types.Context, reason: str, garments: Iterable[str], simulated: int, kept: int
+    ) -> set[str]:
+        if reason:
+            self.report({"INFO"}, reason)
+        self.report({"INFO"}, f"{simulated} frames simulated, {kept} kept")
+        for garment in filter(None, map(bpy.data.objects.get, garments)):
+            # What it is bound to is as it was; only the frames are other ones.
+            played_cache(cache_folder(garment)).renew()
+            playback.doubt(garment)
         context.scene.frame_set(context.scene.frame_current)
         return {"FINISHED"}
 

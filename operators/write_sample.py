@@ -18,6 +18,12 @@ class WRINKLE_OT_write_sample(bpy.types.Operator):
         name="Keep the Mesh", default=False, description="Leave the opened sample in the scene, to go on with it"
     )
 
+    mirror: bpy.props.BoolProperty(
+        name="Mirror",
+        default=True,
+        description="Also write its mirror image to the other side, where the bake mirrored the sample",
+    )
+
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if find_opened(context) is None:
@@ -32,7 +38,7 @@ class WRINKLE_OT_write_sample(bpy.types.Operator):
             bpy.ops.object.mode_set(mode="OBJECT")
         garment = opened.wrinkle_sample.garment
         try:
-            sample = write_sample(opened, context.evaluated_depsgraph_get())
+            samples = write_sample(opened, context.evaluated_depsgraph_get(), mirror=self.mirror)
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -45,7 +51,8 @@ class WRINKLE_OT_write_sample(bpy.types.Operator):
             if not self.keep:
                 garment.select_set(True)
                 context.view_layer.objects.active = garment
-        self.report({"INFO"}, f"{sample.name} is corrected; Restore Baked Sample takes it back.")
+        names = " and ".join(sample.name for sample in samples)
+        self.report({"INFO"}, f"Corrected: {names}. Restore Baked Sample takes it back.")
         return {"FINISHED"}
 
 

@@ -107,20 +107,16 @@ def _add_bake_verbs(add: AddVerb) -> None:
     plan = add("plan", "samples, bytes and expected time; of another plan on request", _file(), _garment(), _plan())
     plan.add_argument("--out", type=Path, help="the .blend file to write, with this plan chosen")
 
-    bake = add("bake", "bake, or go on baking", _file(), _garment(), _device())
+    bake = add("bake", "bake, or go on baking", _file(), _garment(), _device(), _told())
     bake.add_argument("--shard", metavar="I/N", help="only the I-th of N parts, I from 0 to N-1")
     bake.add_argument(
         "--batch", type=int, metavar="N", help="samples simulated side by side at most; left out, 1, on a GPU 16"
     )
     bake.add_argument("--workers", type=int, default=1, help="processes that share the bake on this machine")
-    bake.add_argument("--progress", choices=("text", "json"), default="text")
-    bake.add_argument(
-        "--attended", action="store_true", help="pause and go on as standard input says, and end when it closes"
-    )
 
 
 def _add_clip_verbs(add: AddVerb) -> None:
-    clip = (_file(), _garment(), _frames(), _device())
+    clip = (_file(), _garment(), _frames(), _device(), _told())
 
     synthesize = add("synthesize", "play the method into a point cache, an Alembic or a USD file", *clip)
     synthesize.add_argument("--formulation", choices=("offsets", "paper", "nearest"), help="left out, the stored one")
@@ -193,7 +189,7 @@ def _add_flow_verbs(add: AddVerb) -> None:
             help="a .pc2, .mdd, .abc or .usd file, numbered .npy or .obj files, or the scene's garment",
         )
 
-    compress = action("compress", "compress a recording", _file(), _worn(), _frames())
+    compress = action("compress", "compress a recording", _file(), _worn(), _frames(), _told())
     add_recording(compress)
     compress.add_argument("--start", type=float, help="scene frame of a file's first sample; left out, as it says")
     goal = compress.add_mutually_exclusive_group()
@@ -281,4 +277,15 @@ def _frames() -> Parser:
 def _device() -> Parser:
     shared = _shared()
     shared.add_argument("--device", default="auto", help="Warp device: auto, cpu, cuda:0")
+    return shared
+
+
+def _told() -> Parser:
+    shared = _shared()
+    shared.add_argument("--progress", choices=("text", "json"), default="text")
+    shared.add_argument(
+        "--attended",
+        action="store_true",
+        help="end when standard input closes; a bake pauses and goes on as it says",
+    )
     return shared

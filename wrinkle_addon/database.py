@@ -28,6 +28,7 @@ from .garment import Garment, Regions, SkinWeights
 from .plan import JointGrid, Sample, SamplePlan
 from .rig import FloatArray, IntArray, Joint, Pose, Rig, pose_of_angles
 from .storage import StorageError
+from .symmetry import Mirror, find_mirror
 
 FORMAT = 1
 MANIFEST = "manifest.json"
@@ -333,6 +334,21 @@ class WrinkleDatabase:
             report = {**self.sample(sample).report, "corrected": True}
             _write_offsets(path, self.header, self.rest, sample, positions, report)
             return replace(self, corrections=known.with_next(sample.name))
+
+    def mirrored(self, sample: Sample) -> tuple[Sample, Mirror] | None:
+        """The sample of which one is the mirror image, or that is its own, and the mirror; None if the bake had none.
+
+        Raises:
+            StorageError: If one of the two cannot be read.
+        """
+        header = self.header
+        mirror = find_mirror(header.rig, header.joints, header.garment, None)
+        other = SamplePlan(header.plan.grids, mirror).reflected(sample)
+        if mirror is None or other is None or other == sample:
+            return None
+        # The bake has looked at the body, too.
+        images = {each.name: self.sample(each).report.get("mirrored") for each in (sample, other)}
+        return (other, mirror) if images[sample.name] == other.name or images[other.name] == sample.name else None
 
     def restored(self, sample: Sample, version: int = BAKED) -> WrinkleDatabase:
         """Let an earlier version of a sample count again, by default the baked one.

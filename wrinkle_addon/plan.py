@@ -156,8 +156,18 @@ class SamplePlan:
             odd = angles[(signs < 0) & (angles != 0.0)]
             if not len(odd) or odd[0] > 0.0:
                 return None
+        return self.reflected(sample)
+
+    def reflected(self, sample: Sample) -> Sample | None:
+        """The sample at the mirrored angles; None without a mirror, or if the other joint's grid has no such node."""
+        if self.mirror is None:
+            return None
+        partner = self.mirror.joints[sample.joint]
+        if partner not in self.grid:
+            return None
         index = []
-        for values, angle in zip(self.grid[partner].angles, signs * angles, strict=True):
+        angles = self.mirror.signs[sample.joint] * self.angles(sample)
+        for values, angle in zip(self.grid[partner].angles, angles, strict=True):
             nearest = int(np.argmin(np.abs(np.array(values) - angle)))
             if abs(values[nearest] - angle) > 1e-6:
                 return None

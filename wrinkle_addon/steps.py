@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Generator
 from typing import TypeVar
 
@@ -13,9 +12,6 @@ Progress = Callable[[float, str], None]
 
 Steps = Generator[tuple[float, str], None, Result]
 """What Progress is told, and the result."""
-
-LOOK = 0.05
-"""Time between two looks at work that goes on beside [s]."""
 
 
 def finish(steps: Steps[Result], progress: Progress) -> Result:
@@ -36,40 +32,6 @@ def portion(steps: Steps[Result], start: float, end: float) -> Steps[Result]:
         except StopIteration as ended:
             return ended.value
         yield start + (end - start) * share, text
-
-
-def beside(work: Callable[[Progress], Result]) -> Steps[Result]:
-    """Work in a thread of its own; who stops in between waits until it tells its progress next.
-
-    Args:
-        work: Gets whom to tell.
-    """
-    told, found, failed = [(0.0, "")], list[Result](), list[BaseException]()
-    stopped = threading.Event()
-
-    def tell(share: float, text: str) -> None:
-        told[0] = share, text
-        if stopped.is_set():
-            raise InterruptedError
-
-    def run() -> None:
-        try:
-            found.append(work(tell))
-        except BaseException as error:
-            failed.append(error)
-
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
-    try:
-        while thread.is_alive():
-            thread.join(LOOK)
-            yield told[0]
-    finally:
-        stopped.set()
-        thread.join()
-    if failed:
-        raise failed[0]
-    return found[0]
 
 
 def describe_left(share: float, passed: float) -> str:

@@ -50,10 +50,11 @@ def reflect(points: FloatArray, point: FloatArray, normal: FloatArray) -> FloatA
     return points - 2.0 * ((points - point) @ normal)[..., None] * normal
 
 
-def find_mirror(rig: Rig, joints: Sequence[Joint], garment: Garment, body: Body) -> Mirror | None:
+def find_mirror(rig: Rig, joints: Sequence[Joint], garment: Garment, body: Body | None) -> Mirror | None:
     """The character's plane of symmetry, or None where rig, body or garment are not symmetric.
 
-    The plane stands halfway between the far bones of the first pair of joints named alike but for their side.
+    A body that is left out is taken for symmetric. The plane stands halfway between the far bones of the first pair of
+    joints named alike but for their side.
     """
     by_name = {joint.name: joint for joint in joints}
     pairs = [(joint, by_name[other]) for joint in joints if (other := other_side(joint.name)) in by_name]
@@ -75,9 +76,10 @@ def find_mirror(rig: Rig, joints: Sequence[Joint], garment: Garment, body: Body)
         if found is None:
             return None
         signs[joint.name] = found
-    reflected = reflect(body.positions, point, normal)
-    if np.abs(bind_to_surface(reflected, body.positions, body.faces).distance).max() > BODY_TOLERANCE:
-        return None
+    if body is not None:
+        reflected = reflect(body.positions, point, normal)
+        if np.abs(bind_to_surface(reflected, body.positions, body.faces).distance).max() > BODY_TOLERANCE:
+            return None
     vertices = mirror_vertices(garment.positions, garment.faces, point, normal)
     if vertices is None or not warp_is_symmetric(garment, vertices, normal):
         return None

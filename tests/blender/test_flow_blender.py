@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import json
-import time
-from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 from small_character import Arm, build_arm, empty_scene, evaluated_positions, heights
-from wrinkle_synthesis.operators.compress_flow import WRINKLE_OT_compress_flow
 from wrinkle_synthesis.wrinkle_addon import cli
 from wrinkle_synthesis.wrinkle_addon.blender import playback
-from wrinkle_synthesis.wrinkle_addon.blender.flow_compression import READING, compression
+from wrinkle_synthesis.wrinkle_addon.blender.flow_compression import READING, compress_garment
 from wrinkle_synthesis.wrinkle_addon.blender.flow_playback import FlowPlayer
 from wrinkle_synthesis.wrinkle_addon.blender.flow_recording import SCENE, RecordingChoice
 from wrinkle_synthesis.wrinkle_addon.blender.handlers import suspended
@@ -157,79 +153,19 @@ def test_a_saved_file_plays_again_and_saves_the_skinned_shape(arm: Arm, tmp_path
     assert np.array_equal(evaluated_positions(bpy.data.objects["sleeve"]), shown)
 
 
-def test_compressing_may_be_stopped_between_any_two_steps_and_leaves_nothing(arm: Arm, tmp_path: Path) -> None:
+def test_compressing_tells_how_far_it_is_and_leaves_the_scene_as_it_was(arm: Arm, tmp_path: Path) -> None:
     out, scene = tmp_path / "sleeve.flow", bpy.context.scene
     scene.frame_set(7)
     playing = len(bpy.app.handlers.frame_change_post)
-    choice = RecordingChoice(SCENE, FRAMES)
     shares = []
-    steps = compression(arm.sleeve, choice, Goal(rms_mm=ERROR), out)
-    for share, text in steps:
-        shares.append(share)
-        assert text or share >= READING
-    assert shares == sorted(shares)
+    compress_garment(
+        arm.sleeve, RecordingChoice(SCENE, FRAMES), Goal(rms_mm=ERROR), out, lambda share, text: shares.append(share)
+    )
+    assert shares == sorted(shares) and shares[-1] <= 1.0
     assert len([share for share in shares if share <= READING]) >= 2 * len(FRAMES)
-    assert out.exists()
-    out.unlink()
-    for count in (1, 5, len(FRAMES) + 3, 2 * len(FRAMES) + 1):
-        steps = compression(arm.sleeve, choice, Goal(rms_mm=ERROR), out)
-        for _ in range(count):
-            next(steps)
-        steps.close()
-        assert scene.frame_current == 7
-        assert len(bpy.app.handlers.frame_change_post) == playing
-        assert list(tmp_path.iterdir()) == []
-
-
-class Window:
-    """What a modal operator needs of a window, and what it was told."""
-
-    def __init__(self) -> None:
-        self.told: list[str | None] = []
-        self.window = object()
-        self.workspace = SimpleNamespace(status_text_set=self.told.append)
-        self.window_manager = SimpleNamespace(
-            event_timer_remove=lambda timer: self.told.append("no timer"),
-            progress_update=lambda share: None,
-            progress_end=lambda: None,
-        )
-
-
-def modal(arm: Arm, window: Window, out: Path) -> SimpleNamespace:
-    """The operator at work, as `execute` leaves it where there is a window."""
-    operator = SimpleNamespace(_garment=arm.sleeve.session_uid, _out=out, _timer=None, _began=time.monotonic())
-    operator._steps = compression(arm.sleeve, RecordingChoice(SCENE, FRAMES), Goal(rms_mm=ERROR), out)
-    operator.report = lambda kind, text: window.told.append(text)
-    for name in ("modal", "cancel", "_finish"):
-        setattr(operator, name, partial(getattr(WRINKLE_OT_compress_flow, name), operator))
-    return operator
-
-
-def test_in_a_window_compressing_tells_its_progress_and_shows_the_result(arm: Arm, tmp_path: Path) -> None:
-    window, out = Window(), tmp_path / "sleeve.flow"
-    operator = modal(arm, window, out)
-    timer, other = SimpleNamespace(type="TIMER"), SimpleNamespace(type="MOUSEMOVE")
-    assert operator.modal(window, other) == {"RUNNING_MODAL"}
-    assert window.told == []
-    while (answer := operator.modal(window, timer)) == {"RUNNING_MODAL"}:
-        assert "Compressing the recording: " in window.told[-1]
-        assert window.told[-1].endswith(". Esc stops.")
-    assert answer == {"FINISHED"}
-    assert window.told[-3:-1] == ["no timer", None]
-    assert "MB written to" in window.told[-1]
-    assert arm.sleeve.wrinkles.flow.replays
-    assert arm.sleeve.wrinkles.enabled
-
-
-def test_in_a_window_escape_stops_compressing(arm: Arm, tmp_path: Path) -> None:
-    window, out = Window(), tmp_path / "sleeve.flow"
-    operator = modal(arm, window, out)
-    for _ in range(20):
-        operator.modal(window, SimpleNamespace(type="TIMER"))
-    assert operator.modal(window, SimpleNamespace(type="ESC")) == {"CANCELLED"}
-    assert window.told[-3:] == ["no timer", None, "Compressing stopped; no file was written."]
-    assert not out.exists()
-    assert not arm.sleeve.wrinkles.flow.replays
+    assert scene.frame_current == 7
+    assert len(bpy.app.handlers.frame_change_post) == playing
+    assert list(tmp_path.iterdir()) == [out]
 
 
 def test_the_file_tells_what_other_errors_would_cost(arm: Arm, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -14,7 +15,7 @@ from dolls import doll
 from figures import build_figure
 from file_contents import differences, file_contents
 from small_character import Bumps, build_arm, empty_scene, evaluated_positions
-from wrinkle_synthesis.wrinkle_addon.blender import bake_process
+from wrinkle_synthesis.wrinkle_addon.blender import file_process
 from wrinkle_synthesis.wrinkle_addon.blender.bake_process import BakeProcess
 from wrinkle_synthesis.wrinkle_addon.blender.node_group import find_modifier
 
@@ -128,7 +129,7 @@ def test_a_mesh_of_another_number_of_vertices_keeps_its_wrinkles(figure: None) -
 def test_a_cancelled_bake_leaves_the_file_as_it_was(
     bumps: Bumps, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bake_process, "own_command", lambda *arguments: [sys.executable, "-c", "input()"])
+    monkeypatch.setattr(file_process, "own_command", lambda *arguments: [sys.executable, "-c", "input()"])
     empty_scene()
     arm = build_arm()
     arm.sleeve.wrinkles.database = str(tmp_path / "s.wrinkles")
@@ -190,8 +191,6 @@ except KeyboardInterrupt:
 
 @pytest.mark.parametrize("paused", [False, True])
 def test_a_bake_ends_with_the_blender_that_started_it(paused: bool) -> None:
-    import subprocess
-
     child = subprocess.Popen([sys.executable, "-c", ATTENDED], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert child.stdin is not None and child.stdout is not None and child.stdout.readline() == "ready\n"
     if paused:
@@ -201,3 +200,55 @@ def test_a_bake_ends_with_the_blender_that_started_it(paused: bool) -> None:
     assert child.poll() is None
     child.stdin.close()
     assert child.wait(30) == 130
+
+
+CLOSED = """
+import os, signal, sys
+sys.path[:0] = [{tests!r}]
+import bpy
+import wrinkle_synthesis
+wrinkle_synthesis.register()
+from small_character import build_arm, empty_scene
+from wrinkle_synthesis.wrinkle_addon.blender.bake_process import BakeProcess
+empty_scene()
+arm = build_arm()
+arm.sleeve.wrinkles.database = sys.argv[1]
+process = BakeProcess(arm.sleeve)
+while not process.progress.done:
+    assert process.poll(0.1)
+print("child", process._process.pid, flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
+def test_a_blender_that_is_killed_takes_its_bake_along_and_the_next_one_goes_on(bumps: Bumps, tmp_path: Path) -> None:
+    folder = tmp_path / "s.wrinkles"
+    code = CLOSED.format(tests=str(Path(__file__).parents[1]))
+    run = [sys.executable, "-c", code, str(folder)]
+    ended = subprocess.run(run, check=False, stdout=subprocess.PIPE, text=True, timeout=300)
+    told = [line for line in ended.stdout.splitlines() if line.startswith("child ")]
+    assert ended.returncode == -9 and told
+    child, end = int(told[0].split()[1]), time.monotonic() + 60.0
+    while is_alive(child):
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    finished = {path.name: path.stat().st_mtime_ns for path in folder.glob("rest-*")}
+    assert finished
+    # Its lock is free, and what was finished is not made again.
+    empty_scene()
+    arm = build_arm()
+    settings = arm.sleeve.wrinkles
+    settings.database = str(folder)
+    with BakeProcess(arm.sleeve) as process:
+        while not process.progress.done:
+            assert process.poll(0.1)
+    assert {path.name: path.stat().st_mtime_ns for path in folder.glob("rest-*")} == finished
+
+
+def is_alive(process: int) -> bool:
+    """Whether a process runs; one that has ended and that nobody has asked after does not."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False

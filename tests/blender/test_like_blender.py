@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 from dolls import doll
+from fake_layout import draw
 from figures import build_figure
 from file_contents import differences, file_contents
 from small_character import TOLERANCE, Arm, Bumps, build_arm, empty_scene, evaluated_positions
 from wrinkle_synthesis.wrinkle_addon.blender import playback
 from wrinkle_synthesis.wrinkle_addon.blender.character import apply
+from wrinkle_synthesis.wrinkle_addon.blender.handlers import HANDLERS
+from wrinkle_synthesis.wrinkle_addon.blender.panels.character import WRINKLE_PT_character
 
 Shape = Callable[[np.ndarray], bool]
 
@@ -100,7 +104,7 @@ def test_undo_and_redo_of_setting_up_and_mirroring() -> None:
 
 
 def test_every_operator_that_changes_the_file_is_a_step_of_undo() -> None:
-    looking = {"check_garment", "cancel_bake", "pause_bake", "simulate_coarse", "restore_sample", "self_test"}
+    looking = {"check_garment", "stop_process", "pause_bake", "simulate_coarse", "self_test"}
     storing = {"add_fabric_preset", "add_plan_preset"}
     for name in dir(bpy.ops.wrinkle):
         undone = "UNDO" in getattr(bpy.ops.wrinkle, name).bl_options
@@ -229,6 +233,44 @@ def test_saving_a_copy_elsewhere_still_finds_the_database(arm: Arm, bumps: Bumps
     assert shows(sleeve, bumps.shape(bumps.pose({"elbow_L": np.array([1.0])})))
 
 
+@contextmanager
+def no_handlers_of_saving() -> Iterator[None]:
+    """Blender calls none when it saves by itself."""
+    names = [name for name in HANDLERS if name.startswith("save_")]
+    for name in names:
+        getattr(bpy.app.handlers, name).remove(HANDLERS[name])
+    try:
+        yield
+    finally:
+        for name in names:
+            getattr(bpy.app.handlers, name).append(HANDLERS[name])
+
+
+def test_a_recovered_file_goes_on_where_it_was(arm: Arm, bumps: Bumps, tmp_path: Path) -> None:
+    poses = arm.animate([{"elbow_L": [0.2 * k]} for k in range(6)])
+    path = beside_the_file(arm, tmp_path)
+    bpy.context.scene.frame_set(5)
+    arm.sleeve.wrinkles.strength = 0.5
+    # Blender itself gives a recovered file the path of the one that was worked on; only a window saves by itself.
+    saved = tmp_path / "arm_autosave.blend"
+    with no_handlers_of_saving():
+        bpy.ops.wm.save_as_mainfile(filepath=str(saved), copy=True)
+    empty_scene()
+    assert bpy.ops.wm.recover_auto_save(filepath=str(saved)) == {"FINISHED"}
+    sleeve = bpy.data.objects["sleeve"]
+    assert sleeve.wrinkles.strength == 0.5
+    half = {"elbow_L": 0.5, "shoulder_L": 0.5}
+    for frame in (5, 3):
+        bpy.context.scene.frame_set(frame)
+        assert playback.status(sleeve).error == ""
+        assert shows(sleeve, bumps.shape(poses[frame - 1], half))
+    # Saved by hand, it is as any other file.
+    save(path)
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    bpy.context.scene.frame_set(2)
+    assert shows(bpy.data.objects["sleeve"], bumps.shape(poses[1], half))
+
+
 def test_an_appended_character_is_played(arm: Arm, bumps: Bumps, tmp_path: Path) -> None:
     arm.animate([{"elbow_L": [1.0]}] * 2)
     path = save(tmp_path / "arm.blend")
@@ -258,7 +300,11 @@ def test_a_linked_garment_gets_its_local_mesh_in_one_click(arm: Arm, bumps: Bump
     bpy.context.view_layer.objects.active = bpy.data.objects["sleeve"]
     bpy.context.view_layer.update()
     assert "library override" in playback.status(bpy.data.objects["sleeve"]).error
+    # The sidebar says why, and offers it.
+    shown = draw(WRINKLE_PT_character)
+    assert "wrinkles need a mesh of their own here" in shown.text and "wrinkle.make_local_mesh" in shown.operators
     assert bpy.ops.wrinkle.make_local_mesh() == {"FINISHED"}
+    assert "wrinkle.make_local_mesh" not in draw(WRINKLE_PT_character).operators
     sleeve = bpy.context.object
     assert sleeve.library is None and sleeve.data.library is None
     scene.frame_set(2)

@@ -13,7 +13,7 @@ import pytest
 from dolls import doll
 from figures import build_figure
 from small_character import Arm, Bumps, build_arm, empty_scene, evaluated_positions
-from wrinkle_synthesis.wrinkle_addon.blender import bake_process, playback
+from wrinkle_synthesis.wrinkle_addon.blender import file_process, playback
 from wrinkle_synthesis.wrinkle_addon.blender.bake_process import BakeProcess
 from wrinkle_synthesis.wrinkle_addon.blender.properties import active_garment
 
@@ -35,7 +35,7 @@ def activate(ob: bpy.types.Object) -> None:
 
 
 def temporary_copies() -> set[str]:
-    return {path.name for path in Path(tempfile.gettempdir()).glob("wrinkle-bake-*")}
+    return {path.name for path in Path(tempfile.gettempdir()).glob("wrinkle-process-*")}
 
 
 # --- choosing and setting up --------------------------------------------------------------------------------------
@@ -134,7 +134,7 @@ CRASHER = "import sys; print('out of memory', file=sys.stderr); sys.exit(1)"
 
 
 def stand_in(monkeypatch: pytest.MonkeyPatch, code: str) -> None:
-    monkeypatch.setattr(bake_process, "own_command", lambda *arguments: [sys.executable, "-c", code])
+    monkeypatch.setattr(file_process, "own_command", lambda *arguments: [sys.executable, "-c", code])
 
 
 def test_a_bake_reports_progress_and_can_be_stopped(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,7 +145,7 @@ def test_a_bake_reports_progress_and_can_be_stopped(arm: Arm, monkeypatch: pytes
     while process.progress.done < 2 and time.monotonic() < deadline:
         assert process.poll(0.1)
     assert process.progress.text == "2 of 9 samples, 10 min left"
-    assert process.progress.last_sample == "s2, residual 0.02"
+    assert process.progress.last == "s2, residual 0.02"
     assert process.progress.restless == ("s1",)
     assert len(temporary_copies() - copies) == 1
     process.close()

@@ -12,9 +12,9 @@ from dolls import doll
 from fake_layout import SidebarContext, draw
 from figures import build_figure
 from small_character import Arm, Bumps, build_arm, empty_scene
-from wrinkle_synthesis.operators import registration
-from wrinkle_synthesis.wrinkle_addon.blender import bake_process, flow_panel, panels, playback
-from wrinkle_synthesis.wrinkle_addon.blender.bake_process import BakeProcess, BakeProgress, running
+from wrinkle_synthesis.wrinkle_addon.blender import file_process, flow_panel, panels, playback
+from wrinkle_synthesis.wrinkle_addon.blender.bake_process import BakeProcess, BakeProgress
+from wrinkle_synthesis.wrinkle_addon.blender.file_process import BAKE, running
 from wrinkle_synthesis.wrinkle_addon.blender.guess import guess_character
 from wrinkle_synthesis.wrinkle_addon.blender.inspection import found
 from wrinkle_synthesis.wrinkle_addon.blender.plan_preview import preview_plan
@@ -62,22 +62,6 @@ def test_without_a_garment_there_is_the_first_step_alone() -> None:
     shown = [panel for panel in all_panels() if not hasattr(panel, "poll") or panel.poll(context)]
     assert shown == [panels.character.WRINKLE_PT_character]
     assert "Select the garment" in draw(panels.character.WRINKLE_PT_character).text
-
-
-def test_everything_that_is_set_has_a_tooltip() -> None:
-    bare = []
-    for cls in [cls for module in registration.MODULES for cls in module.classes]:
-        if issubclass(cls, bpy.types.Operator):
-            assert cls.__doc__, cls.__name__
-            described = cls.bl_rna.properties
-        elif issubclass(cls, bpy.types.PropertyGroup):
-            described = cls.bl_rna.properties
-        else:
-            continue
-        own = [described[name] for name in cls.__annotations__ if name in described]
-        shown = [each for each in own if not each.is_hidden and each.type not in ("POINTER", "COLLECTION")]
-        bare += [f"{cls.__name__}.{each.identifier}" for each in shown if not each.description]
-    assert not bare, ", ".join(bare)
 
 
 # --- the character ------------------------------------------------------------------------------------------------
@@ -229,7 +213,8 @@ def test_a_joint_of_the_middle_has_nothing_to_mirror(arm: Arm) -> None:
 
 def test_a_running_bake_tells_how_far_it_is(arm: Arm) -> None:
     class Running:
-        paused = False
+        verb, doing = BAKE, "Baking wrinkles"
+        paused = stopped = False
         progress = BakeProgress(3, 12, "elbow_L-2", 90.0, 0.013, ("elbow_L-1",))
 
     running[arm.sleeve.session_uid] = Running()
@@ -238,11 +223,11 @@ def test_a_running_bake_tells_how_far_it_is(arm: Arm) -> None:
         assert "3 of 12 samples, 2 min left" in shown.labels
         assert "elbow_L-2, residual 0.013" in shown.labels
         assert "1 did not come to rest" in shown.labels
-        assert {"wrinkle.pause_bake", "wrinkle.cancel_bake"} <= set(shown.operators)
+        assert {"wrinkle.pause_bake", "wrinkle.stop_process"} <= set(shown.operators)
         assert not bpy.ops.wrinkle.bake.poll()
     finally:
         running.clear()
-    assert not bpy.ops.wrinkle.pause_bake.poll() and not bpy.ops.wrinkle.cancel_bake.poll()
+    assert not bpy.ops.wrinkle.pause_bake.poll() and not bpy.ops.wrinkle.stop_process.poll()
 
 
 def wait_for(process: BakeProcess, done: int) -> None:
@@ -272,7 +257,7 @@ def test_a_paused_bake_waits_with_the_next_sample_and_goes_on(arm: Arm, tmp_path
 def test_two_windows_do_not_bake_into_one_folder(arm: Arm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 
-    monkeypatch.setattr(bake_process, "own_command", lambda *arguments: [sys.executable, "-c", "input()"])
+    monkeypatch.setattr(file_process, "own_command", lambda *arguments: [sys.executable, "-c", "input()"])
     arm.sleeve.wrinkles.database = str(tmp_path / "s.wrinkles")
     with BakeProcess(arm.sleeve):
         with pytest.raises(ValueError, match="Another Blender is baking into"):

@@ -83,6 +83,36 @@ def test_modifiers_behind_work_on_the_played_shape(arm: Arm, bumps: Bumps, tmp_p
         assert difference(picture, expected_picture(arm, shape, tmp_path / "expected.png", like=behind)) < SAME
 
 
+def test_a_render_may_show_half_the_detail_of_the_viewport(arm: Arm, bumps: Bumps, tmp_path: Path) -> None:
+    poses = bending(arm)
+    scene = bpy.context.scene
+    subdivision = arm.sleeve.modifiers.new("SUBSURF", "SUBSURF")
+    subdivision.levels = subdivision.render_levels = 2
+    scene.render.use_simplify = True
+    scene.render.simplify_subdivision, scene.render.simplify_subdivision_render = 2, 1
+    in_render: list[int] = []
+
+    def count(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+        if depsgraph.mode == "RENDER":
+            in_render.append(len(arm.sleeve.evaluated_get(depsgraph).data.vertices))
+
+    scene.frame_set(3)
+    in_viewport = len(arm.sleeve.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.vertices)
+    bpy.app.handlers.frame_change_post.append(count)
+    try:
+        picture = render_still(tmp_path / "picture.png")
+    finally:
+        bpy.app.handlers.frame_change_post.remove(count)
+    # One level less has a quarter of the faces.
+    assert in_render and 3 * max(in_render) < in_viewport
+    shape = bumps.shape(poses[2])
+    assert difference(picture, expected_picture(arm, shape, tmp_path / "expected.png", like=("SUBSURF",))) < SAME
+    # Rendering leaves the viewport with its own detail, still played.
+    bpy.context.view_layer.update()
+    evaluated = arm.sleeve.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    assert len(evaluated.data.vertices) == in_viewport and playback.status(arm.sleeve).error == ""
+
+
 def test_objects_deformed_by_the_same_armature_are_in_the_same_pose(arm: Arm, bumps: Bumps, tmp_path: Path) -> None:
     """A cuff that is skinned and a button that hangs on a bone: neither a frame behind nor one ahead."""
     poses = bending(arm)

@@ -1,10 +1,7 @@
 """Work in steps: it tells how far it is, can be left at any step, and gives its result, or its error, at the end."""
 
-import threading
-from collections.abc import Callable
-
 import pytest
-from wrinkle_synthesis.wrinkle_addon.steps import Steps, beside, describe_left, finish, portion
+from wrinkle_synthesis.wrinkle_addon.steps import Steps, describe_left, finish, portion
 
 
 def counted(count: int) -> Steps[int]:
@@ -23,31 +20,6 @@ def test_a_portion_of_something_longer_tells_its_share_of_it():
     told = []
     assert finish(portion(counted(2), 0.5, 0.9), lambda share, text: told.append(share)) == 2
     assert told == pytest.approx([0.7, 0.9])
-
-
-def test_work_beside_gives_its_result_or_its_error():
-    def fail(tell: Callable[[float, str], None]) -> None:
-        raise ValueError("said")
-
-    assert finish(beside(lambda tell: threading.get_ident()), lambda share, text: None) != threading.get_ident()
-    with pytest.raises(ValueError, match="said"):
-        finish(beside(fail), lambda share, text: None)
-
-
-def test_work_beside_ends_at_its_next_word_when_it_is_left():
-    ended = threading.Event()
-
-    def work(tell: Callable[[float, str], None]) -> None:
-        try:
-            while True:
-                tell(0.5, "on and on")
-        finally:
-            ended.set()
-
-    steps = beside(work)
-    next(steps)
-    steps.close()
-    assert ended.is_set()
 
 
 def test_the_time_left_is_told_once_it_is_more_than_a_guess():

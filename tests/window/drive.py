@@ -29,7 +29,7 @@ LONG = 300.0
 """What anything may take on a slow machine [s]."""
 
 first_start = importlib.import_module(f"{PACKAGE}.wrinkle_addon.blender.first_start").first_start
-bake_process = importlib.import_module(f"{PACKAGE}.wrinkle_addon.blender.bake_process")
+file_process = importlib.import_module(f"{PACKAGE}.wrinkle_addon.blender.file_process")
 playback = importlib.import_module(f"{PACKAGE}.wrinkle_addon.blender.playback")
 
 
@@ -92,10 +92,10 @@ def bake(hand: Hand) -> Steps:
     for joint in settings.joints:
         joint.enabled = joint.name == "elbow_L"
     yield from hand.click("wrinkle.bake")
-    yield from wait_for(lambda: bake_process.running, "the bake begins")
-    yield from wait_for(lambda: all(each.progress.done for each in bake_process.running.values()), "a sample is baked")
+    yield from wait_for(lambda: file_process.running, "the bake begins")
+    yield from wait_for(lambda: all(each.progress.done for each in file_process.running.values()), "a sample is baked")
     yield from hand.shoot("baking")
-    yield from wait_for(lambda: not bake_process.running, "the bake ends")
+    yield from wait_for(lambda: not file_process.running, "the bake ends")
     assert settings.enabled
     say(f"the first wrinkled frame came {time.monotonic() - BEGAN:.0f} s after Blender's start, quick bake included")
     yield from hand.shoot("baked")
@@ -151,12 +151,12 @@ def cancel_a_bake(hand: Hand) -> Steps:
     for joint in settings.joints:
         joint.enabled = True
     yield from hand.click("wrinkle.bake")
-    yield from wait_for(lambda: bake_process.running, "the second bake begins")
-    (process,) = bake_process.running.values()
+    yield from wait_for(lambda: file_process.running, "the second bake begins")
+    (process,) = file_process.running.values()
     yield from wait_for(lambda: process.progress.done, "one of its samples is baked")
-    yield from hand.click("wrinkle.cancel_bake")
+    yield from hand.click("wrinkle.stop_process")
     yield from wait_for(lambda: process._process.poll() is not None, "its process ends")
-    assert not bake_process.running
+    yield from wait_for(lambda: not file_process.running, "the window has noticed")
     assert list(Path(bpy.path.abspath(settings.database)).glob("rest-*"))
     yield from hand.shoot("cancelled")
     settings.database = settings.database.replace("_other", "")

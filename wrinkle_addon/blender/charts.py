@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -40,13 +40,14 @@ class Chart:
     groups: Sequence[tuple[int, str]] = field(default_factory=tuple)
 
 
-def show_charts(context: bpy.types.Context, garment: str, charts: Mapping[str, Chart]) -> list[str]:
-    """Draw charts of a garment, the first into every open Image Editor; returns the images' names."""
-    images = [show_chart(f"{garment} {name}", chart) for name, chart in charts.items()]
-    for area in context.screen.areas if context.screen is not None else ():
-        if area.type == "IMAGE_EDITOR":
-            area.spaces.active.image = images[0]
-    return [image.name for image in images]
+def draw_charts(context: bpy.types.Context, garment: str, charts: Mapping[str, Chart]) -> Iterator[str]:
+    """Draw charts of a garment one by one, the first into every open Image Editor; yields the images' names."""
+    for number, (name, chart) in enumerate(charts.items()):
+        image = show_chart(f"{garment} {name}", chart)
+        for area in context.screen.areas if context.screen is not None and number == 0 else ():
+            if area.type == "IMAGE_EDITOR":
+                area.spaces.active.image = image
+        yield image.name
 
 
 def show_chart(name: str, chart: Chart) -> bpy.types.Image:

@@ -23,6 +23,7 @@ from .coarse_scene import (
     read_spec,
     simulated_garments,
 )
+from .file_process import SIMULATE, running
 from .preferences import device_name
 
 Garments = Sequence[bpy.types.Object]
@@ -62,6 +63,11 @@ class PlayedCache:
         if self._history is None:
             self._cache = None
 
+    def renew(self) -> None:
+        """Read the cache anew: somebody else has filled it."""
+        self._cache = self._history = None
+        self.doubt()
+
     def positions(self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Points:
         """Where a garment's coarse layer lies in the depsgraph's frame, in world axes [m].
 
@@ -88,6 +94,9 @@ class PlayedCache:
         Raises:
             NotSimulated: If the simulation must be built first, which it is then, or cannot be; one sentence.
         """
+        if any(process.verb == SIMULATE for process in running.values()):
+            # Who fills a cache goes through its frames alone.
+            return
         scene = depsgraph.scene
         frame = scene.frame_current
         garments = simulated_garments(garment, scene)

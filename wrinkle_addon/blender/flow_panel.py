@@ -5,8 +5,10 @@ from __future__ import annotations
 import bpy
 
 from . import playback
+from .file_process import COMPRESS, process_of
 from .flow_playback import FlowPlayer
 from .panels import WrinklePanel
+from .panels.layout import draw_process
 from .properties import active_garment
 
 
@@ -25,7 +27,11 @@ class WRINKLE_PT_flow(WrinklePanel, bpy.types.Panel):
         layout, garment = self.layout, active_garment(context)
         assert garment is not None
         settings = garment.wrinkles.flow
-        layout.operator("wrinkle.compress_flow", icon="FILE_CACHE")
+        process = process_of(garment, COMPRESS)
+        if process is None:
+            layout.operator("wrinkle.compress_flow", icon="FILE_CACHE")
+        else:
+            draw_process(layout, process)
         layout.prop(settings, "path", text="")
         layout.prop(settings, "replays")
         column = layout.column()

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import bpy
 from bpy.app.handlers import persistent
 
-from . import coarse_playing, playback
+from . import coarse_playing, correction_undo, playback
 from .node_group import NO_FRAME, find_modifier, get_input, set_input
 from .relative_paths import keep_paths, remap_paths
 from .write import show_skinned, wake_skinning
@@ -118,8 +118,15 @@ def _tag_garments() -> None:
 
 
 @persistent
+def remember_corrections(scene: bpy.types.Scene, unused: object = None) -> None:
+    """Undo or redo is about to replace the file's data."""
+    correction_undo.begin_undo()
+
+
+@persistent
 def doubt_file(scene: bpy.types.Scene, unused: object = None) -> None:
     """Undo or redo replaced the file's data."""
+    correction_undo.follow_undo()
     playback.doubt_all()
     end_animation()
 
@@ -168,6 +175,8 @@ HANDLERS: dict[str, Callable[..., None]] = {
     "animation_playback_pre": begin_animation,
     "animation_playback_post": end_animation,
     "load_post": forget_file,
+    "undo_pre": remember_corrections,
+    "redo_pre": remember_corrections,
     "undo_post": doubt_file,
     "redo_post": doubt_file,
     "save_pre": hide_played,

@@ -97,7 +97,7 @@ def defined_joint(name: str, definition: str, low: Sequence[float], high: Sequen
 class JointSettings(bpy.types.PropertyGroup):
     """One joint of a garment."""
 
-    name: bpy.props.StringProperty(name="Joint", description="elbow_L, spine, ...")
+    name: bpy.props.StringProperty(name="Joint", description="Such as elbow_L or spine")
     enabled: bpy.props.BoolProperty(name="Sample", default=True, description="Bake samples of this joint")
     strength: bpy.props.FloatProperty(
         name="Strength",
@@ -359,6 +359,9 @@ class GarmentSettings(bpy.types.PropertyGroup):
     )
     mirror_signs: bpy.props.StringProperty(
         options={"HIDDEN"}, description="Factors of the angles of mirrored joints, if the character is symmetric; JSON"
+    )
+    corrections: bpy.props.StringProperty(
+        options={"HIDDEN"}, description="Versions of samples that were chosen in this file, which undo follows; JSON"
     )
     notes: bpy.props.StringProperty(description="Sentences on joints that were not found, one a line")
     active_joint: bpy.props.IntProperty(name="Joint", description="The joint that is chosen in the list")

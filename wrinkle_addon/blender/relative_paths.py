@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
@@ -40,6 +41,19 @@ def keep_paths(saved: str) -> None:
         for uid, name, old in _before:
             setattr(garments[uid].wrinkles, name, old)
     _before.clear()
+
+
+@contextmanager
+def absolute_paths() -> Iterator[None]:
+    """For a copy of the file that works as if it lay where the open one does, whatever is there already."""
+    before = [(garment, name, getattr(garment.wrinkles, name)) for garment, name in _relative() if bpy.data.filepath]
+    for garment, name, path in before:
+        setattr(garment.wrinkles, name, bpy.path.abspath(path))
+    try:
+        yield
+    finally:
+        for garment, name, path in before:
+            setattr(garment.wrinkles, name, path)
 
 
 def _relative() -> Iterator[tuple[bpy.types.Object, str]]:

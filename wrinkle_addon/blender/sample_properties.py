@@ -21,6 +21,12 @@ class GhostSettings(bpy.types.PropertyGroup):
         options=set(),
         update=_redraw,
     )
+    mirrors: bpy.props.BoolProperty(
+        name="Mirror",
+        default=True,
+        options=set(),
+        description="Write a corrected sample back to the other side, too, where the bake mirrored it",
+    )
     angles: bpy.props.FloatVectorProperty(
         name="Angles",
         size=3,

@@ -11,7 +11,7 @@ import numpy as np
 from ..database import MANIFEST, WrinkleDatabase
 from ..plan import JointGrid, Sample
 from ..rig import FloatArray
-from . import playback
+from .correction_undo import note_versions, play_anew
 from .files import database_folder
 from .matching import check_database, match_rig
 from .node_group import ATTRIBUTE
@@ -112,8 +112,14 @@ def find_opened(context: bpy.types.Context) -> bpy.types.Object | None:
     return next((ob for ob in context.scene.objects if ob.wrinkle_sample.garment == active), None)
 
 
-def write_sample(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Sample:
+def write_sample(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph, *, mirror: bool = False) -> list[Sample]:
     """Store an opened sample as it is shown now, with its modifiers and shape keys, as the sample's newest version.
+
+    Args:
+        mirror: Also store its mirror image, where the bake had one.
+
+    Returns:
+        The samples that were corrected.
 
     Raises:
         ValueError: If it does not fit the garment's database any more; one sentence.
@@ -136,13 +142,19 @@ def write_sample(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Sample
     if not np.isfinite(positions).all():
         raise ValueError(f"'{ob.name}' has vertices at positions that are not numbers; undo that change.")
     scale = match_rig(garment.wrinkles.armature, database.header)
-    database.corrected(sample, scale * positions.reshape(-1, 3).astype(np.float64))
+    shapes = {sample: scale * positions.reshape(-1, 3).astype(np.float64)}
+    if mirror and (found := database.mirrored(sample)) is not None:
+        shapes[found[0]] = found[1].reflect_garment(shapes[sample])
+    corrected = database
+    for each, shape in shapes.items():
+        corrected = corrected.corrected(each, shape)
+    note_versions(garment, database.corrections, corrected.corrections, [each.name for each in shapes])
     play_anew(database.folder)
-    return sample
+    return list(shapes)
 
 
 def restore_sample(garment: bpy.types.Object) -> Sample:
-    """Let the chosen sample count as baked again.
+    """Let the chosen sample count as baked again; its mirror image stays as it is.
 
     Raises:
         ValueError: If it was never corrected; one sentence.
@@ -150,14 +162,7 @@ def restore_sample(garment: bpy.types.Object) -> Sample:
     database, sample = chosen_sample(garment)
     if database.corrections.path(sample.name) is None:
         raise ValueError(f"The sample {sample.name} is as it was baked.")
-    database.restored(sample)
+    restored = database.restored(sample)
+    note_versions(garment, database.corrections, restored.corrections, [sample.name])
     play_anew(database.folder)
     return sample
-
-
-def play_anew(folder: Path) -> None:
-    """Let every garment that plays a database read it again."""
-    for ob in bpy.data.objects:
-        if ob.type == "MESH" and ob.wrinkles.database and Path(bpy.path.abspath(ob.wrinkles.database)) == folder:
-            playback.forget(ob)
-            ob.update_tag()

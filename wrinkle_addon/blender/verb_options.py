@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from pathlib import Path
 
@@ -100,3 +101,11 @@ def find_frames(options: argparse.Namespace, *, every: bool = False) -> list[int
 def say(text: str) -> None:
     """Progress, for people."""
     print(text, file=sys.stderr, flush=True)
+
+
+def say_share(options: argparse.Namespace, share: float, text: str) -> None:
+    """Progress, for people, or as an event for whoever started this process."""
+    if options.progress == "json":
+        say(json.dumps({"event": "step", "share": round(share, 4), "text": text}))
+    else:
+        say(text)

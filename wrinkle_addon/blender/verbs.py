@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import bpy
 
+from ..attendance import Attendance
 from . import handlers, verbs_bake, verbs_flow, verbs_influence, verbs_play, verbs_setup
 
 VERBS: Mapping[str, Callable[[argparse.Namespace], Mapping[str, Any]]] = {
@@ -29,6 +31,8 @@ VERBS: Mapping[str, Callable[[argparse.Namespace], Mapping[str, Any]]] = {
 def run(name: str, options: argparse.Namespace) -> Mapping[str, Any]:
     """Run a verb, with our properties known to Blender and no playing while it works."""
     _ensure_registered()
+    if getattr(options, "attended", False):
+        options.attendance = Attendance(sys.stdin)
     with handlers.suspended():
         return VERBS[name](options)
 

@@ -78,7 +78,7 @@ def bake(options: argparse.Namespace) -> Mapping[str, Any]:
     folder = find_database(options, garment)
     report = _reporter(options.progress)
     if options.attended:
-        report = _attended(report, Attendance(sys.stdin))
+        report = _attended(report, options.attendance)
     with sampling_stage(garment.wrinkles.armature, garment.wrinkles.body) as stage:
         job = stage_job(garment, stage)
         _check_folder(folder, job)

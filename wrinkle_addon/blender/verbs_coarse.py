@@ -9,7 +9,7 @@ from typing import Any
 from ..coarse_bake import BakedFrame
 from ..folder_verbs import choose_device
 from .simulate_coarse import bake_coarse
-from .verb_options import find_frames, find_garment, open_file, say
+from .verb_options import find_frames, find_garment, open_file, say, say_share
 
 
 def simulate_coarse(options: argparse.Namespace) -> Mapping[str, Any]:
@@ -25,7 +25,7 @@ def simulate_coarse(options: argparse.Namespace) -> Mapping[str, Any]:
         say(run.reason)
     baked = []
     for step in run.frames:
-        _say_step(step)
+        _say_step(options, step, (step.frame - run.first + 1) / (run.last - run.first + 1))
         baked.append(step)
     kept = sum(step.kept for step in baked)
     restarts = {step.frame: step.report["reason"] for step in baked if step.report["reason"]}
@@ -50,9 +50,9 @@ def simulate_coarse(options: argparse.Namespace) -> Mapping[str, Any]:
     }
 
 
-def _say_step(step: BakedFrame) -> None:
+def _say_step(options: argparse.Namespace, step: BakedFrame, share: float) -> None:
     if step.moved:
         say(f"The motion changed from frame {step.frame} on: {step.moved} elsewhere.")
-    if not step.kept:
-        deepest, crossed = 1e3 * step.report["deepest"], step.report["crossed"]
-        say(f"frame {step.frame}: deepest {deepest:.1f} mm under the skin, {crossed} vertices through another layer")
+    deepest, crossed = 1e3 * step.report["deepest"], step.report["crossed"]
+    text = f"frame {step.frame}: deepest {deepest:.1f} mm under the skin, {crossed} vertices through another layer"
+    say_share(options, share, f"frame {step.frame}: kept" if step.kept else text)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from .. import flow_verbs
 from ..flow import Ends, FlowMethod, Timing
-from ..flow_compress import Goal, compress, measure_errors
-from ..flow_file import SUFFIX, read_flow, write_flow
+from ..flow_compress import Goal, measure_errors
+from ..flow_file import SUFFIX, read_flow
 from ..flow_residuals import Residuals, ResidualSpace, Skinning
 from ..folder_verbs import choose_device
 from ..pc2 import write_pc2
@@ -24,10 +24,11 @@ from ..steps import describe_left, finish
 from .character import apply
 from .clip import read_clip
 from .files import check_output, choose_armature, save_character
+from .flow_compression import compress_garment
 from .flow_playback import check_flow_mesh, describe_outside
-from .flow_recording import SCENE, RecordingChoice, read_posed, read_source
+from .flow_recording import SCENE, RecordingChoice, read_posed
 from .matching import RECORDING, match_rig
-from .verb_options import find_frames, find_object, open_file, say
+from .verb_options import find_frames, find_object, open_file, say_share
 
 PAUSE = 0.5
 """Least time between two words of progress [s]."""
@@ -45,17 +46,15 @@ def compress_recording(options: argparse.Namespace) -> Mapping[str, Any]:
         check_plots(options.plots)
     open_file(options)
     garment = find_worn(options)
-    tell = _Teller()
-    source = finish(read_source(garment, _choice(options)), lambda share, text: tell(0.2 * share, text))
-    made = compress(
-        source,
+    made = compress_garment(
+        garment,
+        _choice(options),
         goal,
-        Skinning(options.skinning),
-        ResidualSpace(options.space),
-        curve=options.plots is not None,
-        progress=lambda share, text: tell(0.2 + 0.8 * share, text),
+        options.out,
+        _Teller(options),
+        skinning=Skinning(options.skinning),
+        space=ResidualSpace(options.space),
     )
-    write_flow(options.out, made.header, made.rig, made.code)
     told = flow_verbs.describe(read_flow(options.out))
     lines = [
         f"{told['bytes'] / 1e6:.3g} MB written to {options.out}, {told['times_smaller_than_pc2']:g} times smaller than "
@@ -73,7 +72,7 @@ def compress_recording(options: argparse.Namespace) -> Mapping[str, Any]:
     if options.plots is not None:
         points = [*made.header.curve, (told["bytes"], made.rms_mm)]
         result["curve"] = [{"bytes": size, "rms_mm": error} for size, error in made.header.curve]
-        result["plots"] = [str(plot_flow(points, made.frame_mm, source.recording.start, options.plots))]
+        result["plots"] = [str(plot_flow(points, made.frame_mm, made.header.start, options.plots))]
     if options.blend is not None:
         _remember(garment, options.out, options.blend)
         save_character(options.blend)
@@ -191,8 +190,8 @@ def _remember(garment: bpy.types.Object, flow: Path, blend: Path) -> None:
 class _Teller:
     """Says what is done and how long it will take, when either is news."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic):
-        self._clock, self._began = clock, clock()
+    def __init__(self, options: argparse.Namespace, clock: Callable[[], float] = time.monotonic):
+        self._options, self._clock, self._began = options, clock, clock()
         self._last, self._spoke = "", -PAUSE
 
     def __call__(self, share: float, text: str) -> None:
@@ -201,4 +200,5 @@ class _Teller:
         if text == self._last or (passed - self._spoke < PAUSE and share < 1.0):
             return
         self._last, self._spoke = text, passed
-        say(f"{100 * share:3.0f} % {text}{describe_left(share, passed)}")
+        text = f"{text}{describe_left(share, passed)}"
+        say_share(self._options, share, text if self._options.progress == "json" else f"{100 * share:3.0f} % {text}")

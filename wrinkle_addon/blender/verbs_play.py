@@ -35,7 +35,7 @@ from .files import check_output, save_character
 from .matching import check_database
 from .mesh_cache import play_cache
 from .setup import stage_job
-from .verb_options import find_database, find_frames, find_garment, open_file, say
+from .verb_options import find_database, find_frames, find_garment, open_file, say_share
 from .verbs_coarse import simulate_coarse
 
 Shapes = Iterator[tuple[FloatArray, Mapping[str, Any]]]
@@ -61,7 +61,7 @@ def synthesize(options: argparse.Namespace) -> Mapping[str, Any]:
     def report(stretch: range) -> None:
         nonlocal made
         made += len(stretch)
-        say(f"frames {stretch.start} to {stretch.stop - 1}")
+        say_share(options, made / len(part), f"frames {stretch.start} to {stretch.stop - 1}")
 
     if options.part:
         write_parts(synthesis, part, options.out, key, report)
@@ -124,8 +124,8 @@ def _simulate_fine(options: argparse.Namespace) -> Mapping[str, Any]:
 
         def positions() -> Iterator[NDArray[np.float32]]:
             for clip, (shape, report) in zip(clips, shapes, strict=True):
-                _say_frame(clip, report)
                 reports.append(report)
+                _say_frame(options, len(reports) / len(clips), clip, report)
                 yield apply(clip.rig_to_garment, shape).astype(np.float32)
 
         write_pc2(options.out, job.garment.vertex_count, frames[0], positions(), len(frames))
@@ -144,9 +144,9 @@ def _baked_rest(options: argparse.Namespace, garment: bpy.types.Object, job: Bak
     return database.rest if database.header.key == job.key else None
 
 
-def _say_frame(clip: ClipFrame, report: Mapping[str, Any]) -> None:
+def _say_frame(options: argparse.Namespace, share: float, clip: ClipFrame, report: Mapping[str, Any]) -> None:
     details = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in report.items())
-    say(f"frame {clip.frame:g}{': ' if details else ''}{details}")
+    say_share(options, share, f"frame {clip.frame:g}{': ' if details else ''}{details}")
 
 
 def _simulated(
@@ -211,8 +211,9 @@ def evaluate(options: argparse.Namespace) -> Mapping[str, Any]:
             references = _settled(job, stage, clips, database, device, losses=options.losses)
 
         def compared() -> Iterator[EvaluatedFrame]:
-            for clip, over_coarse, (shape, report) in zip(clips, layered, references, strict=True):
-                _say_frame(clip, report)
+            frames_of = zip(clips, layered, references, strict=True)
+            for number, (clip, over_coarse, (shape, report)) in enumerate(frames_of, 1):
+                _say_frame(options, number / len(clips), clip, report)
                 upright, root = clip.pose.with_root_at_rest(stage.rig)
                 body = apply(root, stage.positions(upright))
                 yield EvaluatedFrame(clip.frame, clip.pose, shape, body, report, over_coarse)

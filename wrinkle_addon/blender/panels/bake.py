@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import bpy
 
-from ..bake_process import BakeProcess, running
+from ..bake_process import BakeProgress
+from ..correction_undo import problems
+from ..file_process import BAKE, FileProcess, process_of
 from ..samples import chosen_sample
-from .layout import GarmentPanel, axis_names, garment_of, say, settings_column, translated
+from .layout import GarmentPanel, axis_names, draw_process, garment_of, say, settings_column, translated
 
 
 class WRINKLE_PT_bake(GarmentPanel, bpy.types.Panel):
@@ -20,29 +22,19 @@ class WRINKLE_PT_bake(GarmentPanel, bpy.types.Panel):
         layout.prop(settings, "database", text="")
         if settings.database.startswith("//") and not bpy.data.filepath:
             say(context, layout, "The database lies beside the file: save the file first.", icon="ERROR")
-        process = running.get(garment.session_uid)
+        process = process_of(garment, BAKE)
         if process is None:
             layout.operator("wrinkle.bake", icon="RENDER_ANIMATION")
         else:
-            _draw_progress(layout, process)
+            _draw_bake(layout, process)
 
 
-def _draw_progress(layout: bpy.types.UILayout, process: BakeProcess) -> None:
-    progress = process.progress
-    layout.progress(factor=progress.done / max(progress.total, 1), text=progress.text)
-    row = layout.row(align=True)
-    row.operator(
-        "wrinkle.pause_bake",
-        text="Go On" if process.paused else "Pause",
-        icon="PLAY" if process.paused else "PAUSE",
-    )
-    row.operator("wrinkle.cancel_bake", text="Stop", icon="CANCEL")
+def _draw_bake(layout: bpy.types.UILayout, process: FileProcess) -> None:
+    draw_process(layout, process)
     if process.paused:
         layout.label(text="Waits when the sample in work is done", icon="INFO")
-    if progress.name:
-        layout.label(text=progress.last_sample, icon="CHECKMARK", translate=False)
-    if progress.restless:
-        count = len(progress.restless)
+    if isinstance(process.progress, BakeProgress) and process.progress.restless:
+        count = len(process.progress.restless)
         layout.label(text=translated("{count} did not come to rest").format(count=count), icon="INFO")
 
 
@@ -73,8 +65,13 @@ class WRINKLE_PT_samples(GarmentPanel, bpy.types.Panel):
             layout.label(text=sample.name, icon="SCULPTMODE_HLT" if corrected else "MESH_DATA", translate=False)
         column = layout.column(align=True)
         column.operator("wrinkle.open_sample", icon="SCULPTMODE_HLT")
-        column.operator("wrinkle.write_sample", icon="FILE_TICK")
+        row = column.row(align=True)
+        row.operator("wrinkle.write_sample", icon="FILE_TICK").mirror = ghost.mirrors
+        if settings.use_symmetry and settings.mirror_signs:
+            row.prop(ghost, "mirrors", text="", icon="MOD_MIRROR")
         column.operator("wrinkle.restore_sample", icon="LOOP_BACK")
+        if (problem := problems.get(garment.session_uid)) is not None:
+            say(context, layout, problem, icon="ERROR")
 
 
 classes = (WRINKLE_PT_bake, WRINKLE_PT_samples)

@@ -6,7 +6,8 @@ import bpy
 
 from ..coarse_layer import NONE
 from ..coarse_scene import SIMULATION
-from .layout import GarmentPanel, garment_of, settings_column
+from ..file_process import SIMULATE, process_of
+from .layout import GarmentPanel, draw_process, garment_of, settings_column
 
 
 class WRINKLE_PT_coarse(GarmentPanel, bpy.types.Panel):
@@ -15,7 +16,7 @@ class WRINKLE_PT_coarse(GarmentPanel, bpy.types.Panel):
     bl_label = "Coarse Layer"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, (_, settings) = self.layout, garment_of(context)
+        layout, (garment, settings) = self.layout, garment_of(context)
         layout.operator("wrinkle.make_coarse_mesh", icon="MOD_DECIM")
         column = settings_column(layout, animated=True)
         column.prop(settings, "coarse_layer", text="Follow")
@@ -28,7 +29,11 @@ class WRINKLE_PT_coarse(GarmentPanel, bpy.types.Panel):
                 column.prop(settings, name)
             for name in ("coarse_pre_roll", "coarse_proxy"):
                 column.prop(settings, name)
-            layout.operator("wrinkle.simulate_coarse", icon="PHYSICS")
+            process = process_of(garment, SIMULATE)
+            if process is None:
+                layout.operator("wrinkle.simulate_coarse", icon="PHYSICS")
+            else:
+                draw_process(layout, process)
 
 
 classes = (WRINKLE_PT_coarse,)

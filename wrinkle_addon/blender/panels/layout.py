@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import bpy
 
+from ..file_process import BAKE, FileProcess
 from ..properties import GarmentSettings, JointSettings, active_garment
 
 translated = bpy.app.translations.pgettext_iface
@@ -69,3 +70,19 @@ def say_numbers(layout: bpy.types.UILayout, numbers: dict[str, str]) -> None:
     for name, value in numbers.items():
         names.label(text=name)
         values.label(text=value, translate=False)
+
+
+def draw_process(layout: bpy.types.UILayout, process: FileProcess) -> None:
+    """How far a process is that works behind the window, and a button that stops it."""
+    progress = process.progress
+    layout.progress(factor=progress.share, text=translated("Stopping") if process.stopped else progress.text)
+    row = layout.row(align=True)
+    if process.verb == BAKE:
+        row.operator(
+            "wrinkle.pause_bake",
+            text="Go On" if process.paused else "Pause",
+            icon="PLAY" if process.paused else "PAUSE",
+        )
+    row.operator("wrinkle.stop_process", icon="CANCEL")
+    if progress.last:
+        layout.label(text=progress.last, icon="CHECKMARK", translate=False)

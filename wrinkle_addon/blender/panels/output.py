@@ -5,7 +5,8 @@ from __future__ import annotations
 import bpy
 
 from ..clip_synthesis import CACHE
-from .layout import GarmentPanel, garment_of, say
+from ..file_process import SYNTHESIZE, process_of
+from .layout import GarmentPanel, draw_process, garment_of, say
 
 
 class WRINKLE_PT_cache(GarmentPanel, bpy.types.Panel):
@@ -15,6 +16,9 @@ class WRINKLE_PT_cache(GarmentPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, (garment, _) = self.layout, garment_of(context)
+        if (process := process_of(garment, SYNTHESIZE)) is not None:
+            draw_process(layout, process)
+            return
         written = layout.operator("wrinkle.write_clip", text="Write Point Cache", icon="FILE_CACHE")
         written.play = True
         cache = next((modifier for modifier in garment.modifiers if modifier.type == "MESH_CACHE"), None)

@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 
 from .. import playback
+from ..file_process import BAKE, process_of
 from .layout import GarmentPanel, garment_of, say, settings_column, translated
 
 LEAST_SAID = 0.5
@@ -47,7 +48,7 @@ class WRINKLE_PT_play(GarmentPanel, bpy.types.Panel):
 
 def _draw_status(context: bpy.types.Context, layout: bpy.types.UILayout, garment: bpy.types.Object) -> None:
     status = playback.status(garment)
-    if status.error:
+    if status.error and process_of(garment, BAKE) is None:
         box = layout.box()
         box.alert = True
         say(context, box, status.error, icon="ERROR")

@@ -11,7 +11,9 @@ import bpy
 
 from ...evaluation_record import evaluation_path, read_evaluation
 from .. import playback
-from .layout import GarmentPanel, garment_of, say, say_numbers, translated
+from ..file_process import EVALUATE, process_of
+from ..flow_playback import FlowPlayer
+from .layout import GarmentPanel, draw_process, garment_of, say, say_numbers, translated
 
 
 class WRINKLE_PT_report(GarmentPanel, bpy.types.Panel):
@@ -22,22 +24,30 @@ class WRINKLE_PT_report(GarmentPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, (garment, _) = self.layout, garment_of(context)
         player = playback.status(garment).player
-        reports = None if player is None else getattr(player, "reports", None)
-        if player is None or reports is None:
+        if player is not None and not isinstance(player, FlowPlayer):
+            _draw_samples(layout, player)
+            _draw_fidelity(context, layout, player)
+        else:
             say(context, layout, "Play the garment first: its samples are read then.", icon="INFO")
-            return
-        layout.label(text=player.summary, icon="MATCLOTH", translate=False)
-        residuals = [report["residual"] for report in reports.values() if "residual" in report]
-        restless = {name: report for name, report in reports.items() if not report.get("converged", True)}
-        if residuals:
-            say_numbers(layout, {"Worst Residual": f"{max(residuals):.2g}", "Not at Rest": str(len(restless))})
-        for name, report in list(restless.items())[:12]:
-            place = report.get("restless", "")
-            layout.label(text=f"{name}  {place}", icon="DOT", translate=False)
-        if len(restless) > 12:
-            layout.label(text=translated("and {count} more").format(count=len(restless) - 12))
-        layout.operator("wrinkle.plot_samples", icon="IMAGE_DATA")
-        _draw_fidelity(context, layout, player)
+        process = process_of(garment, EVALUATE)
+        if process is None:
+            layout.operator("wrinkle.evaluate", icon="VIEWZOOM")
+        else:
+            draw_process(layout, process)
+
+
+def _draw_samples(layout: bpy.types.UILayout, player: playback.Player) -> None:
+    layout.label(text=player.summary, icon="MATCLOTH", translate=False)
+    residuals = [report["residual"] for report in player.reports.values() if "residual" in report]
+    restless = {name: report for name, report in player.reports.items() if not report.get("converged", True)}
+    if residuals:
+        say_numbers(layout, {"Worst Residual": f"{max(residuals):.2g}", "Not at Rest": str(len(restless))})
+    for name, report in list(restless.items())[:12]:
+        place = report.get("restless", "")
+        layout.label(text=f"{name}  {place}", icon="DOT", translate=False)
+    if len(restless) > 12:
+        layout.label(text=translated("and {count} more").format(count=len(restless) - 12))
+    layout.operator("wrinkle.plot_samples", icon="IMAGE_DATA")
 
 
 def _draw_fidelity(context: bpy.types.Context, layout: bpy.types.UILayout, player: playback.Player) -> None:
@@ -48,7 +58,7 @@ def _draw_fidelity(context: bpy.types.Context, layout: bpy.types.UILayout, playe
         say(context, layout, str(error), icon="ERROR")
         return
     if result is None:
-        say(context, layout, "Not evaluated yet: wrinkle evaluate FILE --keep on the command line.", icon="INFO")
+        say(context, layout, "Not compared with a simulated garment yet.", icon="INFO")
         return
     names = {"ours": "With Wrinkles", "skinning": "Skinning Alone"}
     numbers = {text: f"{result['rmse_mm'][name]:.2f} mm RMS" for name, text in names.items()}
