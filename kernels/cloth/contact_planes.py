@@ -292,8 +292,8 @@ def find_facing_plane(
 def find_burying_plane(
     planes: ContactPlanes, body: BodySurface, reach: ContactReach, world: wp.int32, vertex: wp.int32, x: wp.vec3d
 ) -> wp.float32:
-    """The plane of the closest skin, if the vertex lies in the body below it, it faces the first plane and the body ends
-    there; the vertex's distance from it [m], negative.
+    """The plane of the closest skin, if the vertex lies in the body below it, it faces the first plane and the body
+    ends there; the vertex's distance from it [m], negative.
 
     So a vertex gets out of the limb across even if its own skin is in there too, at the edge of where the two meet.
     """
