@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from os import cpu_count
+from types import MappingProxyType
 
 import numpy as np
 import warp as wp
@@ -112,11 +113,16 @@ class SplitLaunch:
 
     def record(self, kernel: wp.Kernel, inputs: list, outputs: list) -> RecordedLaunch:
         """The launch of :meth:`__call__`, to be repeated at a fraction of what a first one costs."""
-        launches = [
-            wp.launch(kernel, count, [first, *inputs], outputs, device=self._device, record_cmd=True)
-            for first, count in self._parts(PARTS_EACH * self._threads if self._pool else 1)
-        ]
-        return RecordedLaunch(self, launches)
+        return self.record_parts(
+            lambda first, count: wp.launch(
+                kernel, count, [first, *inputs], outputs, device=self._device, record_cmd=True
+            )
+        )
+
+    def record_parts(self, record: Callable[[int, int], wp.Launch]) -> RecordedLaunch:
+        """A launch of which the caller records every part: its first block and its number of blocks."""
+        parts = self._parts(PARTS_EACH * self._threads if self._pool else 1)
+        return RecordedLaunch(self, [record(*part) for part in parts])
 
     def run(self, act: Callable[[int, int], object]) -> None:
         """Run an act on the first block and the number of blocks of every part."""
@@ -144,7 +150,7 @@ class RecordedLaunch:
         self._launches = launches
         self._names = {argument.label for argument in launches[0].kernel.adj.args}
 
-    def __call__(self, changed: Mapping[str, object]) -> None:
+    def __call__(self, changed: Mapping[str, object] = MappingProxyType({})) -> None:
         """Run it; ``changed`` are new values of arguments by name, of those that the kernel has."""
         for name in changed.keys() & self._names:
             for launch in self._launches:

@@ -23,7 +23,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..kernels.cloth.body_surface import vertex_normals as area_normals
+from ..kernels.cloth import body_surface
 from ..kernels.penetration import Clearance, find_lacks, heights_over_surface, push_between_limbs, push_out
 from ..kernels.posed_surface import PosedSurface, vec_triangle
 from ..kernels.spreading import RING, Neighbours, believable_lacks, largest_around, mean_around, vec_ring
@@ -146,17 +146,31 @@ class PosedBody:
     def __init__(self, faces: IntArray, vertex_count: int, limb: IntArray, device: wp.Device):
         self.vertex_count = vertex_count
         start, corners = group(faces.ravel(), vertex_count)
-        self._device = device
-        self._launch = SplitLaunch(vertex_count, device)
-        self._corners = [wp.array(values, dtype=wp.int32, device=device) for values in (start, corners)]
         self._points = wp.zeros((1, vertex_count), dtype=wp.vec3, device=device)
         self._normals = wp.zeros((1, vertex_count), dtype=wp.vec3, device=device)
         self.struct = PosedSurface()
         self.struct.points = self._points.reshape((vertex_count,))
         self.struct.normals = self._normals.reshape((vertex_count,))
-        self._faces = wp.array(faces, dtype=wp.int32, device=device)
         triangles = np.stack([*faces.T, *triangles_beside(faces).T, limb, np.zeros(len(faces))], 1)
         self.struct.triangles = wp.array(triangles.astype(np.int32), dtype=vec_triangle, device=device)
+
+        start, corners, faces = (wp.array(values, dtype=wp.int32, device=device) for values in (start, corners, faces))
+        of_faces = wp.zeros((1, len(faces)), dtype=wp.vec3, device=device)
+
+        def face_part(first: int, count: int) -> wp.Launch:
+            part = slice(first, first + count)
+            inputs, outputs = [self._points, faces[part]], [of_faces[:, part]]
+            return wp.launch(body_surface.face_normals, (1, count), inputs, outputs, device=device, record_cmd=True)
+
+        def vertex_part(first: int, count: int) -> wp.Launch:
+            part = slice(first, first + count)
+            inputs, outputs = [of_faces, start[first:], corners], [self._normals[:, part]]
+            return wp.launch(body_surface.vertex_normals, (1, count), inputs, outputs, device=device, record_cmd=True)
+
+        self._find_normals = [
+            SplitLaunch(len(faces), device).record_parts(face_part),
+            SplitLaunch(vertex_count, device).record_parts(vertex_part),
+        ]
 
     def move(self, positions: FloatArray | NDArray[np.float32] | wp.array) -> None:
         """Put the body here, shape [body_vertex_count, 3].
@@ -170,13 +184,8 @@ class PosedBody:
             self.struct.points.assign(np.ascontiguousarray(positions, np.float32))
         else:
             wp.copy(self.struct.points, positions)
-        self._launch.run(self._find_normals)
-
-    def _find_normals(self, first: int, count: int) -> None:
-        start, corners = self._corners
-        part = slice(first, first + count)
-        inputs = [self._points, self._faces, start[first:], corners]
-        wp.launch(area_normals, (1, count), inputs, [self._normals[:, part]], device=self._device)
+        for find in self._find_normals:
+            find()
 
 
 class PushOut:
