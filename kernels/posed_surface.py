@@ -19,22 +19,24 @@ ASKEW = wp.constant(wp.vec2(0.5, 0.9))
 STEEPEST = wp.constant(2.0)
 
 
+vec_triangle = wp.types.vector(8, wp.int32)
+"""A triangle of a posed surface: its corners, the triangles across the edges opposite them (-1 at a border), its limb,
+and nothing; read at once."""
+LIMB = wp.constant(6)
+
+
 @wp.struct
 class PosedSurface:
     """The surface that a garment is kept outside of, in one pose.
 
     Attributes:
         points, normals: Vertices and unit vertex normals, shape [vertex_count].
-        faces: Triangles, shape [triangle_count, 3].
-        beside: The triangle across the edge opposite each corner, -1 at a border.
-        limb: Limb of each triangle.
+        triangles: See :data:`vec_triangle`, shape [triangle_count].
     """
 
     points: wp.array[wp.vec3]
     normals: wp.array[wp.vec3]
-    faces: wp.array2d[wp.int32]
-    beside: wp.array2d[wp.int32]
-    limb: wp.array[wp.int32]
+    triangles: wp.array[vec_triangle]
 
 
 @wp.func
@@ -45,66 +47,60 @@ def rise_between(x: wp.float32, low: wp.float32, high: wp.float32) -> wp.float32
 
 
 @wp.func
-def surface_place(surface: PosedSurface, face: wp.int32, w: wp.vec3) -> wp.vec3:
-    """Point at barycentric coordinates w of a triangle."""
-    return (
-        w[0] * surface.points[surface.faces[face, 0]]
-        + w[1] * surface.points[surface.faces[face, 1]]
-        + w[2] * surface.points[surface.faces[face, 2]]
-    )
+def interpolated(values: wp.array[wp.vec3], triangle: vec_triangle, w: wp.vec3) -> wp.vec3:
+    """Points, or normals not of unit length, at barycentric coordinates w of a triangle."""
+    return w[0] * values[triangle[0]] + w[1] * values[triangle[1]] + w[2] * values[triangle[2]]
 
 
 @wp.func
-def surface_normal(surface: PosedSurface, face: wp.int32, w: wp.vec3) -> wp.vec3:
-    """Interpolated normal there, not of unit length."""
-    return (
-        w[0] * surface.normals[surface.faces[face, 0]]
-        + w[1] * surface.normals[surface.faces[face, 1]]
-        + w[2] * surface.normals[surface.faces[face, 2]]
-    )
-
-
-@wp.func
-def closest_on_face(surface: PosedSurface, p: wp.vec3, face: wp.int32):
+def closest_on_triangle(points: wp.array[wp.vec3], triangle: vec_triangle, p: wp.vec3):
     """Barycentric coordinates of a triangle's point that is closest to p, and its squared distance."""
-    w = closest_point_on_triangle(
-        p,
-        surface.points[surface.faces[face, 0]],
-        surface.points[surface.faces[face, 1]],
-        surface.points[surface.faces[face, 2]],
-    )
-    away = p - surface_place(surface, face, w)
+    a = points[triangle[0]]
+    b = points[triangle[1]]
+    c = points[triangle[2]]
+    w = closest_point_on_triangle(p, a, b, c)
+    away = p - (w[0] * a + w[1] * b + w[2] * c)
     return w, wp.dot(away, away)
 
 
 @wp.func
 def height_over_corner(surface: PosedSurface, face: wp.int32, p: wp.vec3) -> wp.float32:
     """Height of p over the plane that touches the surface at a triangle's first corner."""
-    corner = surface.faces[face, 0]
+    corner = surface.triangles[face][0]
     return wp.dot(p - surface.points[corner], surface.normals[corner])
 
 
 @wp.func
-def walk_downhill(surface: PosedSurface, p: wp.vec3, start: wp.int32):
-    """From triangle to neighbouring triangle as long as they come closer to p: the last one, and the place on it."""
+def walk_downhill(surface: PosedSurface, p: wp.vec3, start: wp.int32, own: wp.int32):
+    """From triangle to neighbouring triangle as long as they come closer to p: the last one, and the place on it.
+
+    The walk ends where it comes to the limb ``own``; -1 for none.
+    """
     face = start
-    w, squared = closest_on_face(surface, p, face)
+    triangle = surface.triangles[face]
+    w, squared = closest_on_triangle(surface.points, triangle, p)
     for _ in range(DOWNHILL_STEPS):
         best = wp.int32(-1)
         best_w = w
+        best_triangle = triangle
         # Across every edge that the closest point lies on: one, or two at a corner.
         for corner in range(3):
-            other = surface.beside[face, corner]
+            other = triangle[3 + corner]
             if w[corner] <= 0.0 and other >= 0:
-                v, d = closest_on_face(surface, p, other)
+                across = surface.triangles[other]
+                v, d = closest_on_triangle(surface.points, across, p)
                 if d < squared:
                     best = other
                     best_w = v
+                    best_triangle = across
                     squared = d
         if best < 0:
             break
         face = best
         w = best_w
+        triangle = best_triangle
+        if triangle[LIMB] == own:
+            break
     return face, w
 
 
@@ -116,47 +112,48 @@ def walk_smooth(surface: PosedSurface, p: wp.vec3, start: wp.int32, place: wp.ve
     here. Unlike the closest point it moves on steadily over hollows.
     """
     face = start
+    triangle = surface.triangles[face]
     w = place
     found = wp.int32(-1)
-    normal = surface_normal(surface, face, w)
-    height = wp.dot(p - surface_place(surface, face, w), normal) / wp.dot(normal, normal)
+    normal = interpolated(surface.normals, triangle, w)
+    height = wp.dot(p - interpolated(surface.points, triangle, w), normal) / wp.dot(normal, normal)
     for _ in range(SMOOTH_STEPS):
-        na = surface.normals[surface.faces[face, 0]]
-        nb = surface.normals[surface.faces[face, 1]]
-        nc = surface.normals[surface.faces[face, 2]]
-        a = surface.points[surface.faces[face, 0]] - p
-        b = surface.points[surface.faces[face, 1]] - p
-        c = surface.points[surface.faces[face, 2]] - p
+        na = surface.normals[triangle[0]]
+        nb = surface.normals[triangle[1]]
+        nc = surface.normals[triangle[2]]
+        a = surface.points[triangle[0]] - p
+        b = surface.points[triangle[1]] - p
+        c = surface.points[triangle[2]] - p
         w, normal, rise = smooth_step(a, b, c, na, nb, nc, height)
         height += rise
-        if wp.min(w) >= -1.0e-5:
+        if w[0] >= -1.0e-5 and w[1] >= -1.0e-5 and w[2] >= -1.0e-5:
             if wp.abs(rise) < tolerance:
                 found = face
                 break
         elif wp.abs(rise) < 10.0 * tolerance:
             # Across the edge; only once the height is about right.
-            face = surface.beside[face, farthest_corner(w)]
+            face = triangle[3 + farthest_corner(w)]
             if face < 0:
                 break
+            triangle = surface.triangles[face]
     size = wp.length(normal)
     return found, height * size, normal / size
 
 
 @wp.func
-def find_foot(surface: PosedSurface, p: wp.vec3, start: wp.int32, tolerance: wp.float32):
-    """Foot of p, walking from a triangle: triangle, height over it, unit normal, and how far it is to be trusted.
+def foot_near(surface: PosedSurface, p: wp.vec3, face: wp.int32, w: wp.vec3, tolerance: wp.float32):
+    """Foot of p whose closest point is known: triangle, height over it, unit normal, and how far it is to be trusted.
 
     Where no smooth foot is found the closest point is taken, with full trust below and above it and none sideways.
     """
-    face, w = walk_downhill(surface, p, start)
     trust = wp.float32(1.0)
     foot, height, normal = walk_smooth(surface, p, face, w, tolerance)
-    away = p - surface_place(surface, face, w)
+    away = p - interpolated(surface.points, surface.triangles[face], w)
     farthest = STEEPEST * wp.length(away)
     height = wp.clamp(height, -farthest, farthest)
     if foot < 0:
         foot = face
-        normal = wp.normalize(surface_normal(surface, face, w))
+        normal = wp.normalize(interpolated(surface.normals, surface.triangles[face], w))
         height = wp.dot(away, normal)
         trust = rise_between(wp.abs(height), ASKEW[0] * wp.length(away), ASKEW[1] * wp.length(away))
     if not wp.isfinite(height) or not wp.isfinite(normal[0] + normal[1] + normal[2]):
@@ -164,4 +161,36 @@ def find_foot(surface: PosedSurface, p: wp.vec3, start: wp.int32, tolerance: wp.
         normal = wp.vec3()
         height = wp.length(away)
         trust = 0.0
+    return foot, height, normal, trust
+
+
+@wp.func
+def find_foot(surface: PosedSurface, p: wp.vec3, start: wp.int32, tolerance: wp.float32):
+    """Foot of p, walking from a triangle; see :func:`foot_near`."""
+    face, w = walk_downhill(surface, p, start, -1)
+    foot, height, normal, trust = foot_near(surface, p, face, w, tolerance)
+    return foot, height, normal, trust
+
+
+@wp.func
+def find_foot_within(
+    surface: PosedSurface, p: wp.vec3, start: wp.int32, own: wp.int32, tolerance: wp.float32, enough: wp.float32
+):
+    """:func:`find_foot` where it may be closer than ``enough`` and not on the limb ``own`` (-1 for none).
+
+    Else the place that the walk came to, whose normal is near enough, and no less than ``enough`` for the height.
+    """
+    foot, w = walk_downhill(surface, p, start, own)
+    triangle = surface.triangles[foot]
+    away = p - interpolated(surface.points, triangle, w)
+    outward = interpolated(surface.normals, triangle, w)
+    distance = wp.length(away)
+    normal = outward / wp.length(outward)
+    height = wp.dot(away, normal)
+    trust = wp.float32(1.0)
+    plain = distance > enough and height >= ASKEW[1] * distance
+    if plain or triangle[LIMB] == own:
+        height = wp.max(distance, enough)
+    else:
+        foot, height, normal, trust = foot_near(surface, p, foot, w, tolerance)
     return foot, height, normal, trust

@@ -10,6 +10,10 @@ from .blend import join_offsets, mixed_products
 
 wp.set_module_options({"enable_backward": False})
 
+# Meshes whose offsets lie side by side, and are read at once.
+LANES = 4
+mat_lanes = wp.types.matrix((LANES, 3), wp.float32)
+
 COLUMNS = wp.constant(32)
 Columns = wp.types.vector(length=int(COLUMNS), dtype=wp.float32)
 
@@ -48,30 +52,32 @@ def downsample_offsets(
     as_published: wp.bool,
     strength: wp.float32,
     # outputs
-    offsets: wp.array2d[wp.vec3],
+    offsets: wp.array2d[mat_lanes],
 ):
-    """Offset of every coarse vertex from the fine vertices around it [m], shape [mesh_count, coarse_count] (eq 5).
+    """Offset of every coarse vertex from the fine vertices around it [m], a row of mesh % LANES of mesh / LANES (eq 5).
 
     ``weights`` are a_uv over their sum; a coarse vertex without fine ones has no offset, and nothing takes it up. As
     published the offset is from the fine vertices to v itself, which is not zero where the two meshes coincide; here
     it is to where each of them lies on the coarse mesh. ``strength`` is the share of the way that is gone.
     """
     v = first + wp.tid()
-    for mesh in range(meshes.shape[0]):
-        total = wp.vec3()
+    for side in range(offsets.shape[0]):
+        found = mat_lanes()
         for k in range(start[v], start[v + 1]):
             u = members[k]
             target = carried[u]
             if as_published:
                 target = coarse[v]
-            total += weights[k] * (target - meshes[mesh, u])
-        offsets[mesh, v] = strength * total
+            for lane in range(LANES):
+                if LANES * side + lane < meshes.shape[0]:
+                    found[lane] += weights[k] * (target - meshes[LANES * side + lane, u])
+        offsets[side, v] = strength * found
 
 
 @wp.kernel
 def upsample_offsets(
     first: wp.int32,
-    offsets: wp.array2d[wp.vec3],
+    offsets: wp.array2d[mat_lanes],
     start: wp.array[wp.int32],
     columns: wp.array[wp.int32],
     weights: wp.array[wp.float32],
@@ -83,11 +89,16 @@ def upsample_offsets(
     ``weights`` are a_uv after Laplacian smoothing over the fine mesh.
     """
     u = first + wp.tid()
-    for mesh in range(meshes.shape[0]):
-        moved = meshes[mesh, u]
+    for side in range(offsets.shape[0]):
+        moved = mat_lanes()
+        for lane in range(LANES):
+            if LANES * side + lane < meshes.shape[0]:
+                moved[lane] = meshes[LANES * side + lane, u]
         for k in range(start[u], start[u + 1]):
-            moved += weights[k] * offsets[mesh, columns[k]]
-        meshes[mesh, u] = moved
+            moved += weights[k] * offsets[side, columns[k]]
+        for lane in range(LANES):
+            if LANES * side + lane < meshes.shape[0]:
+                meshes[LANES * side + lane, u] = moved[lane]
 
 
 @wp.kernel

@@ -188,12 +188,10 @@ class ContactSearch:
             mesh.refit()
         self._held_face.fill_(-1)
         self.look_everywhere()
-        self._launch(
-            body_surface.vertex_normals,
-            self._body.points.shape,
-            [self._body.points, self._body.faces, self._body_corner_start, self._body_corners],
-            [self._body.normals],
-        )
+        points, faces, normals = self._body.points, self._body.faces, self._body_face_normals
+        self._launch(body_surface.face_normals, normals.shape, [points, faces], [normals])
+        inputs = [normals, self._body_corner_start, self._body_corners]
+        self._launch(body_surface.vertex_normals, points.shape, inputs, [self._body.normals])
 
     @property
     def body_positions(self) -> NDArray[np.float32]:
@@ -316,6 +314,7 @@ class ContactSearch:
         start, corners = group(faces.ravel(), positions.shape[1])
         self._body_corner_start = wp.array(start, dtype=wp.int32, device=self._device)
         self._body_corners = wp.array(corners, dtype=wp.int32, device=self._device)
+        self._body_face_normals = wp.zeros((len(positions), len(faces)), dtype=wp.vec3, device=self._device)
         self._body, self._body_meshes = make_body(faces, positions, self._device)
 
     def _make_planes(self) -> None:

@@ -75,6 +75,8 @@ class CoarseContact:
         body_count = len(body_positions)
         self._body_corners = [self._upload(values, wp.int32) for values in group(body_faces.ravel(), body_count)]
         self.points, self.normals = make_path(body_count, device), make_path(body_count, device)
+        self._body_face_normals = self._zeros((1, len(body_faces)), wp.vec3)
+        self._face_normals = self._zeros((1, len(model.faces)), wp.vec3)
         self._make_limbs(limbs, len(body_faces))
         self._reach = reach_of(settings)
         shape = (1, self._count * int(frame_steps.PLANES))
@@ -102,8 +104,7 @@ class CoarseContact:
         wp.copy(self.normals.earlier, self.normals.last)
         wp.copy(self.normals.last, self.normals.coming)
         points, normals = (path.coming.reshape(self.body.points.shape) for path in (self.points, self.normals))
-        inputs = [points, self.body.faces, *self._body_corners]
-        self._launch(body_surface.vertex_normals, points.shape, inputs, [normals])
+        self._launch_normals(points, self.body.faces, self._body_corners, self._body_face_normals, normals)
 
     def find(self, positions: wp.array, skin: frame_steps.Path) -> None:
         """Look for what is near at the beginning of a frame (float64 [m], [1, vertex_count]): once for all its steps.
@@ -113,8 +114,8 @@ class CoarseContact:
         for here, path in ((self.body.points, self.points), (self.body.normals, self.normals)):
             wp.copy(here, path.last.reshape(here.shape))
         self._body_meshes[0].refit()
-        inputs = [skin.last.reshape((1, self._count)), self._faces, *self._corners]
-        self._launch(body_surface.vertex_normals, (1, self._count), inputs, [self._outward])
+        last = skin.last.reshape((1, self._count))
+        self._launch_normals(last, self._faces, self._corners, self._face_normals, self._outward)
         inputs = [positions, self._outward, self._limbs, self.body, self.points, self._reach]
         self._launch(frame_steps.find_candidates, self._count, inputs, [self.found_from, self.candidate])
         if self._pair_count:
@@ -243,6 +244,13 @@ class CoarseContact:
 
     def _zeros(self, shape: tuple[int, ...] | int, dtype: Any) -> wp.array:
         return wp.zeros(shape, dtype=dtype, device=self._device)
+
+    def _launch_normals(
+        self, points: wp.array, faces: wp.array, corners: list[wp.array], of_faces: wp.array, normals: wp.array
+    ) -> None:
+        """Unit normals of a surface's vertices; ``of_faces`` is room for those of its triangles."""
+        self._launch(body_surface.face_normals, of_faces.shape, [points, faces], [of_faces])
+        self._launch(body_surface.vertex_normals, points.shape, [of_faces, *corners], [normals])
 
     def _launch(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._device)

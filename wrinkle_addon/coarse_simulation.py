@@ -18,7 +18,7 @@ A vertex whose strength is 0 rides on the skinned garment, through the body if n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -118,7 +118,7 @@ class CoarseSimulation:
             self.model, self._garment, self._elasticity, self._contact.frozen, 1, corrected=False
         )
         self._allocate()
-        self._graph: wp.Graph | None = None
+        self._graphs: tuple[wp.Graph, wp.Graph] | None = None
         self._last_step: float | None = None
         self.set_gravity([0.0, 0.0, -STANDARD_GRAVITY])
 
@@ -250,15 +250,22 @@ class CoarseSimulation:
     def _launch_step(self, clock: list[float]) -> None:
         """One time step; ``clock`` as :mod:`..kernels.cloth.frame_steps` reads it."""
         self._clock.assign(np.array(clock))
-        if self._graph is None:
+        if self._graphs is None:
             for module in MODULES:  # Nothing may compile while recording.
                 wp.load_module(module, device=self.device)
-            with wp.ScopedCapture(device=self.device, force_module_load=False) as capture:
-                self._record_step()
-            self._graph = capture.graph
-        wp.capture_launch(self._graph)
+            self._graphs = self._recorded(self._record_beginning), self._recorded(self._record_end)
+        beginning, end = self._graphs
+        wp.capture_launch(beginning)
+        self._system.iterate(TOLERANCE, ITERATIONS)
+        wp.capture_launch(end)
 
-    def _record_step(self) -> None:
+    def _recorded(self, launches: Callable[[], None]) -> wp.Graph:
+        with wp.ScopedCapture(device=self.device, force_module_load=False) as capture:
+            launches()
+        return capture.graph
+
+    def _record_beginning(self) -> None:
+        """A step up to its linear system."""
         motion, contact_, elasticity = self._motion, self._contact, self._elasticity
         positions = motion.positions
         elasticity.remember_strain(positions)
@@ -270,7 +277,12 @@ class CoarseSimulation:
         self._system.assemble(positions, self._inverse_dt2, self._kept)
         self._system.precondition(positions)
         self._system.hold_vertices(motion.held)
-        self._system.launch_solve(self._gradient, self._moving, TOLERANCE, ITERATIONS)
+        self._system.launch_begin(self._gradient, self._moving)
+
+    def _record_end(self) -> None:
+        """A step from its linear system on."""
+        motion, contact_ = self._motion, self._contact
+        positions = motion.positions
         self._launch(frame_steps.move_vertices, [self._system.solution, wp.float64(LONGEST_STEP), positions])
         self._launch(frame_steps.end_step, [self._clock, contact_.touching, contact_.planes, motion])
         contact_.launch_expel(motion)

@@ -39,10 +39,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..kernels.transfer import (
     COLUMNS,
+    LANES,
     Columns,
     blend_meshes,
     downsample_offsets,
     join_meshes,
+    mat_lanes,
     place_on_coarse,
     smooth_columns,
     upsample_offsets,
@@ -120,7 +122,7 @@ class DetailTransfer:
         self._rows = self._upload_rows(start, columns, weights)
         self._coarse_count = match.coarse_count
         self._carried = wp.zeros(match.fine_count, dtype=wp.vec3, device=self.device)
-        self._offsets = wp.zeros((1, match.coarse_count), dtype=wp.vec3, device=self.device)
+        self._offsets = wp.zeros((1, match.coarse_count), dtype=mat_lanes, device=self.device)
         self._launch = SplitLaunch(match.fine_count, self.device)
         self._launch_coarse = SplitLaunch(match.fine_count, self.device, block_count=match.coarse_count)
 
@@ -145,9 +147,9 @@ class DetailTransfer:
 
     def align_all(self, coarse: wp.array, meshes: wp.array, strength: float = 1.0) -> None:
         """:meth:`align` for several meshes of the garment, each by itself, shape [mesh_count, fine_count]."""
-        if self._offsets.shape[0] != meshes.shape[0]:
-            shape = (meshes.shape[0], self._coarse_count)
-            self._offsets = wp.zeros(shape, dtype=wp.vec3, device=self.device)
+        sides = -(-meshes.shape[0] // LANES)
+        if self._offsets.shape[0] != sides:
+            self._offsets = wp.zeros((sides, self._coarse_count), dtype=mat_lanes, device=self.device)
         self._launch(place_on_coarse, [coarse, self._corners, self._places], [self._carried])
         inputs = [coarse, self._carried, meshes, *self._members, self.settings.as_published, strength]
         self._launch_coarse(downsample_offsets, inputs, [self._offsets])
@@ -206,17 +208,18 @@ def cotangent_weights(positions: FloatArray, faces: IntArray) -> tuple[IntArray,
     its two neighbours along the border alone: what turns with a hem keeps its slope there.
     """
     start, neighbours = vertex_neighbours(faces, len(positions))
-    count = np.int64(len(positions))
-    keys = rows_of(start) * count + neighbours
+    # Keys of a garment of more than 46,340 vertices are too large for 32 bits.
+    count, wide = len(positions), faces.astype(np.int64)
+    keys = rows_of(start).astype(np.int64) * count + neighbours
     weights = np.zeros(len(keys))
     for k in range(3):
-        a, b, c = faces[:, k], faces[:, (k + 1) % 3], faces[:, (k + 2) % 3]
+        a, b, c = wide[:, k], wide[:, (k + 1) % 3], wide[:, (k + 2) % 3]
         p, q = positions[a] - positions[c], positions[b] - positions[c]
         doubled = np.linalg.norm(np.cross(p, q), axis=1)
         cotangent = np.maximum((p * q).sum(1) / np.maximum(doubled, 1e-30), LEAST_COTANGENT)
         for near, far in ((a, b), (b, a)):
             np.add.at(weights, np.searchsorted(keys, near * count + far), cotangent)
-    a, b = border_edges(faces).T
+    a, b = border_edges(faces).T.astype(np.int64)
     along = np.searchsorted(keys, np.concatenate([a * count + b, b * count + a]))
     weights[np.isin(rows_of(start), (a, b))] = 0.0
     weights[along] = np.tile(1.0 / np.linalg.norm(positions[a] - positions[b], axis=1), 2)

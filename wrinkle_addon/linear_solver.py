@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from scipy import sparse
 
 PARTS = 64
-RECORDED_ITERATIONS = 10
+# Iterations that are recorded and replayed: a look at what is done costs a GPU as much as some of them, a CPU nothing.
+RECORDED_ITERATIONS = {"cuda": 10, "cpu": 1}
 
 
 class BlockSystem:
@@ -49,6 +50,7 @@ class BlockSystem:
         self._elasticity = elasticity
         self._contact = contact
         self._device = device
+        self._chunk = RECORDED_ITERATIONS["cuda" if device.is_cuda else "cpu"]
 
         def upload(values: np.ndarray, dtype: type) -> wp.array:
             return wp.array(values, dtype=dtype, device=device)
@@ -153,24 +155,25 @@ class BlockSystem:
         outputs = [self.solution, self._residual, self._preconditioned]
         _launcher(self._device)(linear.start, self.shape, [gradient, self._inverse], outputs)
         self._begin(moving)
-        graph = self._recording(tolerance)
-        for _ in range(0, max_iterations, RECORDED_ITERATIONS):
-            wp.capture_launch(graph)
-            if not self._active.numpy().any():
-                break
+        self.iterate(tolerance, max_iterations)
         return self._iterations.numpy().copy()
 
-    def launch_solve(self, gradient: wp.array, moving: wp.array, tolerance: float, iterations: int) -> None:
-        """:meth:`solve` for a caller that records its launches: from what :attr:`solution` holds, without a look at
-        what was found."""
+    def launch_begin(self, gradient: wp.array, moving: wp.array) -> None:
+        """What :meth:`solve` begins with, but from what :attr:`solution` holds; it can be recorded."""
         launch = _launcher(self._device)
         self._active.fill_(1)
         self.multiply(self.solution, self._product)
         found = [self._residual, self._preconditioned]
         launch(linear.start_from, self.shape, [gradient, self._inverse, self._product], found)
         self._begin(moving)
-        for _ in range(iterations):
-            self._iterate(tolerance)
+
+    def iterate(self, tolerance: float, max_iterations: int) -> None:
+        """Go on until all worlds are done; arguments as in :meth:`solve`."""
+        graph = self._recording(tolerance)
+        for _ in range(0, max_iterations, self._chunk):
+            wp.capture_launch(graph)
+            if not self._active.numpy().any():
+                break
 
     def hold_vertices(self, held: wp.array) -> None:
         """Let vertices whose entry is not 0 keep still in the next solve; after :meth:`precondition`, one world."""
@@ -252,7 +255,7 @@ class BlockSystem:
             for module in (linear, coarse):  # Nothing may compile while recording.
                 wp.load_module(module, device=self._device)
             with wp.ScopedCapture(device=self._device, force_module_load=False) as capture:
-                for _ in range(RECORDED_ITERATIONS):
+                for _ in range(self._chunk):
                     self._iterate(tolerance)
             self._recorded[tolerance] = capture.graph
         return self._recorded[tolerance]

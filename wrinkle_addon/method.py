@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from os import cpu_count
+from types import MappingProxyType
 
 import numpy as np
 import warp as wp
@@ -19,6 +21,10 @@ LEAST_SPLIT = 4_000
 
 BLOCK_SIZE = 512
 """Vertices that a CPU deals with at a time, so that what it knows of them stays in its nearest cache."""
+
+
+PARTS_EACH = 3
+"""Parts of a recorded launch for each thread: one that is done sooner takes another."""
 
 
 class Method(ABC):
@@ -87,11 +93,15 @@ class SplitLaunch:
     """
 
     def __init__(self, vertex_count: int, device: wp.Device, block_size: int = 1, block_count: int | None = None):
-        threads = max(1, min(cpu_count() or 1, vertex_count // LEAST_SPLIT)) if device.is_cpu else 1
-        edges = np.linspace(0, block_count or -(-vertex_count // block_size), threads + 1).astype(int)
-        self._parts = [(int(a), int(b - a)) for a, b in itertools.pairwise(edges)]
+        self._threads = max(1, min(cpu_count() or 1, vertex_count // LEAST_SPLIT)) if device.is_cpu else 1
+        self._block_count = block_count or -(-vertex_count // block_size)
         self._device = device
-        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
+        self._pool = ThreadPoolExecutor(self._threads - 1) if self._threads > 1 else None
+
+    def _parts(self, count: int) -> list[tuple[int, int]]:
+        """First block and number of blocks of so many parts."""
+        edges = np.linspace(0, self._block_count, count + 1).astype(int)
+        return [(int(a), int(b - a)) for a, b in itertools.pairwise(edges) if b > a]
 
     def __call__(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
         """Run the kernel over all blocks; ``inputs`` leave out the first block."""
@@ -101,9 +111,48 @@ class SplitLaunch:
             )
         )
 
+    def record(self, kernel: wp.Kernel, inputs: list, outputs: list) -> RecordedLaunch:
+        """The launch of :meth:`__call__`, to be repeated at a fraction of what a first one costs."""
+        return self.record_parts(
+            lambda first, count: wp.launch(
+                kernel, count, [first, *inputs], outputs, device=self._device, record_cmd=True
+            )
+        )
+
+    def record_parts(self, record: Callable[[int, int], wp.Launch]) -> RecordedLaunch:
+        """A launch of which the caller records every part: its first block and its number of blocks."""
+        parts = self._parts(PARTS_EACH * self._threads if self._pool else 1)
+        return RecordedLaunch(self, [record(*part) for part in parts])
+
     def run(self, act: Callable[[int, int], object]) -> None:
         """Run an act on the first block and the number of blocks of every part."""
-        waiting = [self._pool.submit(act, *part) for part in self._parts[1:]] if self._pool else []
-        act(*self._parts[0])
-        for task in waiting:
-            task.result()
+        self.run_all([partial(act, *part) for part in self._parts(self._threads)])
+
+    def run_all(self, acts: Sequence[Callable[[], object]]) -> None:
+        """Run acts, each on whichever thread is free for it."""
+        waiting = iter(acts)
+
+        def work() -> None:
+            for act in waiting:
+                act()
+
+        helpers = [self._pool.submit(work) for _ in range(self._threads - 1)] if self._pool else []
+        work()
+        for helper in helpers:
+            helper.result()
+
+
+class RecordedLaunch:
+    """A launch that is repeated, with other arguments now and then."""
+
+    def __init__(self, split: SplitLaunch, launches: list[wp.Launch]):
+        self._split = split
+        self._launches = launches
+        self._names = {argument.label for argument in launches[0].kernel.adj.args}
+
+    def __call__(self, changed: Mapping[str, object] = MappingProxyType({})) -> None:
+        """Run it; ``changed`` are new values of arguments by name, of those that the kernel has."""
+        for name in changed.keys() & self._names:
+            for launch in self._launches:
+                launch.set_param_by_name(name, changed[name])
+        self._split.run_all([launch.launch for launch in self._launches])

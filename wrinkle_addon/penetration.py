@@ -23,39 +23,23 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..kernels.cloth.body_surface import vertex_normals as area_normals
-from ..kernels.penetration import (
-    BOXES,
-    Clearance,
-    LimbGrids,
-    believable_lacks,
-    find_lacks,
-    find_near_limbs,
-    heights_over_surface,
-    largest_around,
-    mean_around,
-    push_between_limbs,
-    push_out,
-)
-from ..kernels.posed_surface import PosedSurface
+from ..kernels.cloth import body_surface
+from ..kernels.penetration import Clearance, find_lacks, heights_over_surface, push_between_limbs, push_out
+from ..kernels.posed_surface import PosedSurface, vec_triangle
+from ..kernels.spreading import RING, Neighbours, believable_lacks, largest_around, mean_around, vec_ring
 from .cloth_contact import Limbs
 from .cloth_model import FloatArray, IntArray
-from .garment import bind_to_surface, vertex_neighbours, vertex_normals
-from .method import BLOCK_SIZE, SplitLaunch
+from .garment import vertex_neighbours, vertex_normals
+from .limb_grids import GridShapes, PosedLimbs, make_grids
+from .method import BLOCK_SIZE, RecordedLaunch, SplitLaunch
 from .surface import FacingSurface
 from .topology import group, mesh_edges, triangles_beside
-
-CELL = 0.02
-"""Size of the cells in which a limb's closest triangle is looked up [m]."""
-
-CELL_REACH = 0.04
-"""Cells farther outside a limb than this know no triangle [m]: how far skin may stray from a rigid limb."""
 
 FACING_REACH = 0.05
 """Skin that looks the way the garment does is preferred at rest, if it is at most this much farther [m]."""
 
-FRAME_POINTS = 64
-"""Body vertices that tell how a limb lies, at most."""
+CLUSTER_CELL = 0.005
+"""Size of the cells in whose order vertices are dealt with [m]."""
 
 FOOT_TOLERANCE = 5.0e-5
 """Height at which the walk to a foot ends [m]."""
@@ -96,8 +80,7 @@ class ClearanceBinding:
         height: Height of each vertex over the body [m], shape [vertex_count].
         limb: Limb of each body triangle, shape [body_triangle_count].
         edge: Mean length of the garment's edges [m].
-        origin, shape, first, cells: Grids around the limbs, see :class:`..kernels.penetration.LimbGrids`; none if the
-            body has no limbs.
+        grids: Grids around the limbs at rest.
     """
 
     faces: IntArray
@@ -107,10 +90,7 @@ class ClearanceBinding:
     height: NDArray[np.float32]
     limb: IntArray
     edge: float
-    origin: NDArray[np.float32]
-    shape: IntArray
-    first: IntArray
-    cells: IntArray
+    grids: GridShapes
 
 
 def bind_clearance(
@@ -127,7 +107,7 @@ def bind_clearance(
     """
     start = _triangles_below(rest, faces, body, body_faces, limbs)
     limb = np.zeros(len(body_faces), np.int32) if limbs is None else limbs.of_triangles
-    origin, shape, first, cells = _limb_grids(body, body_faces, limb, 0 if limbs is None else int(limb.max()) + 1)
+    grids = make_grids(body, body_faces, limb, 0 if limbs is None else int(limb.max()) + 1)
     ends = rest[mesh_edges(faces)[0]]
     edge = float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean())
     surface = PosedBody(body_faces, len(body), limb, wp.get_device("cpu"))
@@ -135,7 +115,7 @@ def bind_clearance(
     height = wp.zeros(len(rest), dtype=wp.float32, device="cpu")
     points, below = wp.array(rest.astype(np.float32), dtype=wp.vec3), wp.array(start, dtype=wp.int32)
     wp.launch(heights_over_surface, len(rest), [points, below, surface.struct, FOOT_TOLERANCE], [height], device="cpu")
-    return ClearanceBinding(faces, body_faces, body, start, height.numpy(), limb, edge, origin, shape, first, cells)
+    return ClearanceBinding(faces, body_faces, body, start, height.numpy(), limb, edge, grids)
 
 
 def _triangles_below(
@@ -156,29 +136,6 @@ def _triangles_below(
     return start
 
 
-def _limb_grids(
-    body: FloatArray, body_faces: IntArray, limb: IntArray, limb_count: int
-) -> tuple[NDArray[np.float32], IntArray, IntArray, IntArray]:
-    """Origins, shapes, starts and cells of the grids around the limbs at rest."""
-    origins, shapes, cells = np.zeros((limb_count, 3), np.float32), np.zeros((limb_count, 3), np.int32), []
-    for number in range(limb_count):
-        triangles = np.flatnonzero(limb == number)
-        if not len(triangles):
-            cells.append(np.zeros(0, np.int32))
-            continue
-        points = body[body_faces[triangles]].reshape(-1, 3)
-        origins[number] = points.min(0) - CELL_REACH
-        shapes[number] = np.ceil((points.max(0) + CELL_REACH - origins[number]) / CELL)
-        index = np.stack(np.meshgrid(*(np.arange(n) for n in shapes[number]), indexing="ij"), 3).reshape(-1, 3)
-        found = bind_to_surface(origins[number] + CELL * (index + 0.5), body, body_faces[triangles])
-        # What lies outside beyond the limb's end is the next limb's.
-        rim = ((found.weights < 1e-6) & (triangles_beside(body_faces[triangles])[found.faces] < 0)).any(1)
-        near = (np.abs(found.distance) < CELL_REACH) & ~(rim & (found.distance > 0.0))
-        cells.append(np.where(near, triangles[found.faces], -1).astype(np.int32))
-    first = np.cumsum([0, *(len(part) for part in cells)])[:-1].astype(np.int32)
-    return origins, shapes, first, np.concatenate([*cells, np.zeros(0, np.int32)])
-
-
 class PosedBody:
     """A body on a device, in whatever pose it was moved to last.
 
@@ -189,17 +146,31 @@ class PosedBody:
     def __init__(self, faces: IntArray, vertex_count: int, limb: IntArray, device: wp.Device):
         self.vertex_count = vertex_count
         start, corners = group(faces.ravel(), vertex_count)
-        self._device = device
-        self._launch = SplitLaunch(vertex_count, device)
-        self._corners = [wp.array(values, dtype=wp.int32, device=device) for values in (start, corners)]
         self._points = wp.zeros((1, vertex_count), dtype=wp.vec3, device=device)
         self._normals = wp.zeros((1, vertex_count), dtype=wp.vec3, device=device)
         self.struct = PosedSurface()
         self.struct.points = self._points.reshape((vertex_count,))
         self.struct.normals = self._normals.reshape((vertex_count,))
-        self.struct.faces = wp.array(faces, dtype=wp.int32, device=device)
-        self.struct.beside = wp.array(triangles_beside(faces), dtype=wp.int32, device=device)
-        self.struct.limb = wp.array(limb, dtype=wp.int32, device=device)
+        triangles = np.stack([*faces.T, *triangles_beside(faces).T, limb, np.zeros(len(faces))], 1)
+        self.struct.triangles = wp.array(triangles.astype(np.int32), dtype=vec_triangle, device=device)
+
+        start, corners, faces = (wp.array(values, dtype=wp.int32, device=device) for values in (start, corners, faces))
+        of_faces = wp.zeros((1, len(faces)), dtype=wp.vec3, device=device)
+
+        def face_part(first: int, count: int) -> wp.Launch:
+            part = slice(first, first + count)
+            inputs, outputs = [self._points, faces[part]], [of_faces[:, part]]
+            return wp.launch(body_surface.face_normals, (1, count), inputs, outputs, device=device, record_cmd=True)
+
+        def vertex_part(first: int, count: int) -> wp.Launch:
+            part = slice(first, first + count)
+            inputs, outputs = [of_faces, start[first:], corners], [self._normals[:, part]]
+            return wp.launch(body_surface.vertex_normals, (1, count), inputs, outputs, device=device, record_cmd=True)
+
+        self._find_normals = [
+            SplitLaunch(len(faces), device).record_parts(face_part),
+            SplitLaunch(vertex_count, device).record_parts(vertex_part),
+        ]
 
     def move(self, positions: FloatArray | NDArray[np.float32] | wp.array) -> None:
         """Put the body here, shape [body_vertex_count, 3].
@@ -213,13 +184,8 @@ class PosedBody:
             self.struct.points.assign(np.ascontiguousarray(positions, np.float32))
         else:
             wp.copy(self.struct.points, positions)
-        self._launch.run(self._find_normals)
-
-    def _find_normals(self, first: int, count: int) -> None:
-        start, corners = self._corners
-        part = slice(first, first + count)
-        inputs = [self._points, self.struct.faces, start[first:], corners]
-        wp.launch(area_normals, (1, count), inputs, [self._normals[:, part]], device=self._device)
+        for find in self._find_normals:
+            find()
 
 
 class PushOut:
@@ -240,35 +206,48 @@ class PushOut:
         self.device = wp.get_device(device)
         count = len(binding.start)
         self._body = PosedBody(binding.body_faces, len(binding.body), binding.limb, self.device)
-        self._start, self._rest_height = self._upload(binding.start), self._upload(binding.height, wp.float32)
-        self._neighbours = [self._upload(values) for values in vertex_neighbours(binding.faces, count)]
+        self._limbs = PosedLimbs(binding.grids, binding.body, binding.body_faces, binding.limb, self.device)
         self.rings = round(self.settings.spread / binding.edge)
         self._clearance = Clearance()
         self._clearance.most, self._clearance.soft = self.settings.distance, self.settings.soft
         self._clearance.deep = wp.vec2(*self.settings.deep)
         self._clearance.overlap = wp.vec2(*self.settings.overlap)
-        self._frames = LimbFrames(binding)
-        self._grids = LimbGrids()
-        self._grids.origin = self._upload(binding.origin, wp.vec3)
-        self._grids.shape = self._upload(binding.shape)
-        self._grids.first = self._upload(binding.first)
-        self._grids.cells = self._upload(binding.cells)
-        self._grids.width = CELL
-        self._grids.near = wp.zeros(int(BOXES) ** 3, dtype=wp.int32, device=self.device)
-        self._grids.frames = wp.zeros((len(binding.first), 3), dtype=wp.vec4, device=self.device)
-        self._face = wp.zeros(count, dtype=wp.int32, device=self.device)
-        self._height, self._lack, self._other = (
-            wp.zeros(count, dtype=wp.float32, device=self.device) for _ in range(3)
-        )
-        self._normal, self._moves = (wp.zeros(count, dtype=wp.vec3, device=self.device) for _ in range(2))
-        self._block_size = BLOCK_SIZE if self.device.is_cpu else 1
-        self._split = SplitLaunch(count, self.device, self._block_size)
+        self._height = wp.zeros(count, dtype=wp.float32, device=self.device)
+        self._stages = self._record(binding)
 
-    def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
-        self._split(kernel, [self._block_size, *inputs], outputs)
+    def _record(self, binding: ClearanceBinding) -> list[RecordedLaunch]:
+        """What clearing launches, in turn; what changes from frame to frame is still to be said."""
+        count = len(binding.start)
+        block_size = BLOCK_SIZE if self.device.is_cpu else 1
+        split = SplitLaunch(count, self.device, block_size)
 
-    def _upload(self, values: NDArray, dtype: type = wp.int32) -> wp.array:
-        return wp.array(values, dtype=dtype, device=self.device)
+        def room(dtype: type, size: int = count) -> wp.array:
+            return wp.zeros(size, dtype=dtype, device=self.device)
+
+        def stage(kernel: wp.Kernel, inputs: list, outputs: list) -> RecordedLaunch:
+            return split.record(kernel, [block_size, *inputs], outputs)
+
+        neighbours = make_neighbours(binding.faces, count, self.device)
+        positions, moves = room(wp.vec3), room(wp.vec3)
+        lack, other = (room(wp.float32, count + 1) for _ in range(2))
+        order = wp.array(neighbourly_order(binding.body[binding.body_faces[binding.start, 0]]), device=self.device)
+        start = wp.array(binding.start, dtype=wp.int32, device=self.device)
+        needs = [start, wp.array(binding.height, dtype=wp.float32, device=self.device)]
+        common = [self._body.struct, self._limbs.struct, self._clearance, FOOT_TOLERANCE]
+        found = [room(wp.int32), self._height, room(wp.vec3)]
+        stages = [
+            stage(find_lacks, [order, positions, *needs, *common], [*found, lack]),
+            stage(believable_lacks, [positions, neighbours, lack, 1.0], [other]),
+        ]
+        lack, other = other, lack
+        # As many means as largest values: so none falls below what it was.
+        for kernel in (largest_around, mean_around):
+            for _ in range(self.rings):
+                stages.append(stage(kernel, [neighbours, lack], [other]))
+                lack, other = other, lack
+        stages.append(stage(push_between_limbs, [order, positions, *needs, lack, *common], [*found, moves, other]))
+        stages.append(stage(push_out, [neighbours, *needs, lack, *found, moves, other, *common], [positions]))
+        return stages
 
     def set_distance(self, distance: float) -> None:
         """Another height that is enough [m]."""
@@ -291,62 +270,32 @@ class PushOut:
             ValueError: If the body has another number of vertices than at rest.
         """
         self._body.move(body)
-        if len(self._grids.first):
-            frames, self._grids.corner, self._grids.box = self._frames.read(body)
-            self._grids.frames.assign(frames)
-            near = self._grids.near
-            wp.launch(find_near_limbs, near.shape, [self._grids], [near], device=self.device)
+        self._limbs.move(body)
         self._clearance.metre = metre
-        common = [self._body.struct, self._grids, self._clearance, FOOT_TOLERANCE]
-        found = [self._face, self._height, self._normal]
-        needs = [self._start, self._rest_height]
-        self._launch(find_lacks, [positions, *needs, *common], [*found, self._lack])
-        inputs = [positions, *self._neighbours, self._lack, self._clearance]
-        self._launch(believable_lacks, inputs, [self._other])
-        self._lack, self._other = self._other, self._lack
-        # As many means as largest values: so none falls below what it was.
-        for kernel in (largest_around, mean_around):
-            for _ in range(self.rings):
-                self._launch(kernel, [*self._neighbours, self._lack], [self._other])
-                self._lack, self._other = self._other, self._lack
-        self._launch(push_between_limbs, [positions, *needs, self._lack, *common], [*found, self._moves])
-        inputs = [*self._neighbours, *needs, self._lack, *found, self._moves, *common]
-        self._launch(push_out, inputs, [positions])
+        changed = {"positions": positions, "clearance": self._clearance, "metre": metre}
+        for stage in self._stages:
+            stage(changed)
 
 
-class LimbFrames:
-    """How the limbs of a posed body lie: the rigid motion that fits each best (Kabsch 1976)."""
+def make_neighbours(faces: IntArray, vertex_count: int, device: wp.Device) -> Neighbours:
+    """Neighbours of a garment's vertices as kernels read them."""
+    start, entries = vertex_neighbours(faces, vertex_count)
+    number = np.diff(start)
+    rings = np.full((vertex_count, RING), vertex_count, np.int32)
+    for k in range(RING):
+        rings[number > k, k] = entries[start[:-1][number > k] + k]
+    neighbours = Neighbours()
+    neighbours.begin = wp.array(start, dtype=wp.int32, device=device)
+    neighbours.all = wp.array(entries, dtype=wp.int32, device=device)
+    neighbours.ring = wp.array(rings, dtype=vec_ring, device=device)
+    return neighbours
 
-    def __init__(self, binding: ClearanceBinding):
-        members = []
-        for number in range(len(binding.first)):
-            vertices = np.unique(binding.body_faces[binding.limb == number])
-            if not len(vertices):
-                vertices = np.arange(len(binding.body))
-            members.append(vertices[np.linspace(0, len(vertices) - 1, FRAME_POINTS).astype(int)])
-        self._members = np.array(members, np.int64).reshape(-1, FRAME_POINTS)
-        rest = binding.body[self._members]
-        self._centre = rest.mean(1)
-        self._rest = rest - self._centre[:, None]
 
-    def read(self, body: NDArray[np.floating] | wp.array) -> tuple[NDArray[np.float32], wp.vec3, wp.vec3]:
-        """Where the limbs of a posed body lie.
-
-        Returns:
-            Rows of the matrices that take points of the pose to each limb at rest [m], shape [limb_count, 3, 4], a unit
-            of length of the pose included. Lowest corner and size of the boxes that hold all limbs and what is near.
-        """
-        points: NDArray[np.floating] = body if isinstance(body, np.ndarray) else body.numpy()
-        posed = points[self._members].astype(np.float64)
-        low, high = posed.min(1), posed.max(1)
-        centre = posed.mean(1)
-        posed -= centre[:, None]
-        u, _, vt = np.linalg.svd(np.swapaxes(self._rest, 1, 2) @ posed)
-        u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
-        scale = np.sqrt((self._rest**2).sum((1, 2)) / np.maximum((posed**2).sum((1, 2)), 1e-30))
-        turn = scale[:, None, None] * (u @ vt)
-        moved = self._centre - np.einsum("lij,lj->li", turn, centre)
-        margin = 2.0 * CELL_REACH / scale[:, None]
-        frames = np.concatenate([turn, moved[:, :, None]], 2).astype(np.float32)
-        low, high = (low - margin).min(0), (high + margin).max(0)
-        return frames, wp.vec3(*low), wp.vec3(*((high - low) / int(BOXES)))
+def neighbourly_order(points: FloatArray) -> IntArray:
+    """Points in an order in which near ones follow each other (Morton 1966), shape [point_count]."""
+    cells = ((points - points.min(0)) / CLUSTER_CELL).astype(np.int64)
+    key = np.zeros(len(points), np.int64)
+    for bit in range(int(cells.max()).bit_length()):
+        for axis in range(3):
+            key |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return np.argsort(key, kind="stable").astype(np.int32)

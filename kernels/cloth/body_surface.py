@@ -83,21 +83,31 @@ def face_direction(
 
 
 @wp.kernel
-def vertex_normals(
+def face_normals(
     points: wp.array2d[wp.vec3],
     faces: wp.array2d[wp.int32],
+    # outputs
+    normals: wp.array2d[wp.vec3],
+):
+    """Normals of the triangles, each as long as twice its area."""
+    world, face = wp.tid()
+    a = points[world, faces[face, 0]]
+    normals[world, face] = wp.cross(points[world, faces[face, 1]] - a, points[world, faces[face, 2]] - a)
+
+
+@wp.kernel
+def vertex_normals(
+    face_normals: wp.array2d[wp.vec3],
     corner_start: wp.array[wp.int32],
     corners: wp.array[wp.int32],
     # outputs
     normals: wp.array2d[wp.vec3],
 ):
-    """Area-weighted vertex normals; ``corners`` lists face * 3 + corner for each vertex."""
+    """Area-weighted unit normals of the vertices; ``corners`` lists face * 3 + corner for each vertex."""
     world, vertex = wp.tid()
     total = wp.vec3()
     for k in range(corner_start[vertex], corner_start[vertex + 1]):
-        face = corners[k] // 3
-        a = points[world, faces[face, 0]]
-        total += wp.cross(points[world, faces[face, 1]] - a, points[world, faces[face, 2]] - a)
+        total += face_normals[world, corners[k] // 3]
     normals[world, vertex] = wp.normalize(total)
 
 

@@ -104,6 +104,8 @@ def closest_worn_triangle(
     query = wp.mesh_query_aabb(body.meshes[world], p - box, p + box)
     candidate = wp.int32(0)
     while wp.mesh_query_aabb_next(query, candidate):
+        if (limbs >> body.limb[candidate]) & 1 == 0:
+            continue
         facing = face_direction(body.points, body.faces, world, candidate)
         if is_worn(body.limb[candidate], limbs, facing, outward, reach.least_cosine):
             w = closest_point_on_triangle(

@@ -13,6 +13,7 @@ from wrinkle_synthesis.wrinkle_addon.detail_transfer import (
     DetailTransfer,
     TransferSettings,
     close_joints,
+    cotangent_weights,
     group_shares,
     smoothing_iterations,
     transfer_groups,
@@ -144,6 +145,25 @@ def test_a_coarse_layer_finer_than_the_garment_works(curved):
     out, coarse = (wp.array(points, dtype=wp.vec3, device="cpu") for points in (flat, fine + 0.05 * UP))
     DetailTransfer(match, flat, faces).align(coarse, out)
     np.testing.assert_allclose(out.numpy(), flat + 0.05 * UP, atol=1e-6)
+
+
+def test_a_garment_may_have_more_vertices_than_the_square_root_of_what_32_bits_hold():
+    positions, faces = sheet(220, 220, 1.0, 1.0)
+    start, _, weights = cotangent_weights(positions, faces)
+    assert len(positions) > 46_341
+    assert np.add.reduceat(weights, start[:-1]) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_meshes_beside_each_other_are_aligned_as_each_alone(curved):
+    layer = wp.array(swing(curved.coarse.positions), dtype=wp.vec3, device="cpu")
+    meshes = np.stack([curved.rest + 0.01 * number * curved.normals for number in range(5)])
+    together = wp.array(meshes, dtype=wp.vec3, device="cpu")
+    transfer = DetailTransfer(curved.match, curved.rest, curved.faces)
+    transfer.align_all(layer, together)
+    for alone, found in zip(meshes, together.numpy(), strict=True):
+        one = wp.array(alone, dtype=wp.vec3, device="cpu")
+        transfer.align(layer, one)
+        assert np.array_equal(one.numpy(), found)
 
 
 def test_a_negative_number_of_iterations_is_refused(curved):

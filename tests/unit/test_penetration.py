@@ -108,7 +108,11 @@ def test_heights_are_those_of_the_smooth_surface(worn):
     # Height along the interpolated normal, by brute force over all triangles in double precision.
     near = rng.choice(len(points), 40, replace=False)
     expected = [phong_height(points[v], worn.body, worn.body_faces) for v in near]
-    assert found[near] == pytest.approx(expected, abs=5e-6)
+    near, expected = np.array(near), np.array(expected)
+    needs = expected < CLEARANCE
+    assert found[near[needs]] == pytest.approx(expected[needs], abs=5e-6)
+    # Where nothing is lacking the distance is given: 0.008 mm more or less here.
+    assert found[near[~needs]] == pytest.approx(expected[~needs], abs=2e-5)
 
 
 def phong_height(p, body, faces):
