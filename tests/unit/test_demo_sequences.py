@@ -81,9 +81,10 @@ def test_a_sequence_expects_a_time_of_every_stage(tmp_path: Path, name: str) -> 
 def test_the_table_tells_what_was_measured() -> None:
     report: dict[str, Any] = {
         "recipe": {"garment": "tshirt"},
+        "database": {"samples": 49},
         "simulate": {
-            "frame_count": 40, "rmse_mm": {"skinning": 30.0, "ours": 12.0},
-            "curvature_ratio": 0.9, "inside_share": 0.002,
+            "rmse_mm": {"skinning": 30.0, "ours": 12.0}, "curvature_ratio": 0.9,
+            "inside_share": 0.002, "inside_overlap_share": 0.0015,
         },
         "surfaces": {
             "vertices": 3_500,
@@ -94,7 +95,7 @@ def test_the_table_tells_what_was_measured() -> None:
     }  # fmt: skip
     row = tabulate({"dancing": report}).splitlines()[-1]
     assert row == (
-        "| dancing | tshirt | 3,500 | 40 | 30.0 mm | 14.0 mm | 12.0 mm | 0.90 (0.60) | 0.85 | 0.20 % | 2 (1) |"
+        "| dancing | tshirt | 3,500 | 49 | 30.0 mm | 14.0 mm | 12.0 mm | 0.90 (0.60) | 0.85 | 0.20 (0.15) % | 2 (1) |"
     )
 
 
