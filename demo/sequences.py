@@ -27,7 +27,7 @@ from .garment import GARMENTS
 from .picture import compose
 from .recipe import FULL as USUAL
 from .recipe import Recipe
-from .run import Demo
+from .run import Demo, hardest_frames
 
 COARSE, OURS = "coarse simulation", "ours"
 
@@ -182,13 +182,12 @@ def tabulate(reports: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def draw_sheet(folders: Mapping[str, Path], reports: Mapping[str, Mapping[str, Any]], path: Path) -> None:
-    """One frame of each sequence, a row each: coarse, ours, full."""
+    """The frame of each sequence in which skinning is furthest from the full simulation, a row each."""
     columns = SequenceDemo.columns
     rows, corners = [], []
     for name, folder in folders.items():
-        # The frame in the middle of those pictured: the others are in the sequence's own picture.
-        pictured = reports[name]["pictured_frames"]
-        frame = pictured[len(pictured) // 2]
+        # The furthest is among the pictured ones, which are the hardest that lie apart.
+        (frame,) = hardest_frames(reports[name]["simulate"]["frames"], 1)
         rows.append([folder / "stills" / f"{column}-{frame:04d}.png" for column in columns])
         corners.append([f"{name}, frame {frame}", "", ""])
     compose(rows, list(columns.values()), corners, path)
