@@ -100,12 +100,11 @@ def play_stages(folder: Path, name: str, cache: Path) -> Stages:
 # --- figure 9 -----------------------------------------------------------------------------------------------------
 
 
-def curvature_sums(stages: Stages) -> dict[str, NDArray[np.float64]]:
-    """Sums of mean curvature over the garment [1/m] by stage, shape [frame_count] (W101)."""
-    measures = SurfaceMeasures(stages.faces, stages.shapes[FULL].shape[1])
+def curvature_sums(measures: SurfaceMeasures, shapes: Mapping[str, Shapes]) -> dict[str, NDArray[np.float64]]:
+    """Sums of mean curvature over a garment [1/m] by stage, shape [frame_count] (W101)."""
     return {
-        stage: np.array([measures.mean_curvature(shape.astype(np.float64)).sum(dtype=np.float64) for shape in shapes])
-        for stage, shapes in stages.shapes.items()
+        stage: np.array([measures.mean_curvature(shape.astype(np.float64)).sum(dtype=np.float64) for shape in frames])
+        for stage, frames in shapes.items()
     }
 
 
@@ -125,6 +124,11 @@ def compare_sums(sums: Mapping[str, NDArray[np.float64]]) -> dict[str, dict[str,
         }
         for stage, values in sums.items()
     }
+
+
+def root_mean_square_mm(shapes: Shapes, reference: Shapes) -> float:
+    """Root mean square distance of vertices over all frames [mm]; shapes [frame_count, vertex_count, 3] in metres."""
+    return float(1e3 * np.sqrt(((shapes - reference) ** 2).sum(2).mean()))
 
 
 def draw_sums(frames: range, sums: Mapping[str, NDArray[np.float64]], path: Path) -> None:
@@ -209,7 +213,7 @@ def draw_figures(folder: Path, out: Path, frame: int | None = None) -> dict[str,
     name = Results.recipe_of(folder)["garment"]
     out.mkdir(parents=True, exist_ok=True)
     stages = play_stages(folder, name, out / "coarse")
-    sums = curvature_sums(stages)
+    sums = curvature_sums(SurfaceMeasures(stages.faces, stages.shapes[FULL].shape[1]), stages.shapes)
     draw_sums(stages.frames, sums, out / "figure_9.png")
     frame = stages.frames[int(sums[FULL].argmax())] if frame is None else frame
     draw_shapes(stages, folder, name, frame, out)
@@ -220,10 +224,7 @@ def draw_figures(folder: Path, out: Path, frame: int | None = None) -> dict[str,
         "frames": [stages.frames[0], stages.frames[-1]],
         "pictured_frame": frame,
         "stages": compare_sums(sums),
-        "rmse_mm": {
-            stage: float(1e3 * np.sqrt(((shapes - stages.shapes[FULL]) ** 2).sum(2).mean()))
-            for stage, shapes in stages.shapes.items()
-        },
+        "rmse_mm": {stage: root_mean_square_mm(shapes, stages.shapes[FULL]) for stage, shapes in stages.shapes.items()},
         "curvature_sums": {stage: np.round(values, 1).tolist() for stage, values in sums.items()},
     }
     (out / "figures.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")

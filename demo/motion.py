@@ -72,10 +72,10 @@ SKELETON = (
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """A recorded motion in the clips' own axes.
+    """A motion in the clips' own axes.
 
     Attributes:
-        name: One of CLIPS.
+        name: One of CLIPS, or of the authored ones of :mod:`.keyframes`.
         times: Time of each frame [s], shape [frame_count].
         positions: Root positions [m], shape [frame_count, 3].
         turns: Rotations of the skeleton's joints (w, x, y, z), shape [frame_count, joint_count, 4].
@@ -155,22 +155,16 @@ def repeated(clip: Clip, count: int) -> Clip:
     )
 
 
-def mirrored(clip: Clip) -> Clip:
-    """The clip with left and right exchanged."""
-    names = [segment.name for segment in SKELETON]
-    swap = {"Left": "Right", "Right": "Left"}
-    twins = [
-        names.index(next((swap[side] + name.removeprefix(side) for side in swap if name.startswith(side)), name))
-        for name in names
-    ]
-    # A reflection in the plane across the side axis keeps turns about that axis and reverses the others.
-    turns = clip.turns[:, twins] * [1.0, -1.0, -1.0, 1.0]
-    return Clip(clip.name, clip.times, clip.positions * [1.0, 1.0, -1.0], turns, clip.loops)
-
-
 def in_place(clip: Clip) -> Clip:
     """The clip without its travel over the floor, so that a fixed camera keeps it in view."""
     return Clip(clip.name, clip.times, clip.positions * UP, clip.turns, clip.loops)
+
+
+def part(clip: Clip, first: int, last: int) -> Clip:
+    """Frames of a clip, counted from 1, the last one with them; 0 is the clip's end."""
+    kept = slice(first - 1, last or None)
+    times = clip.times[kept]
+    return Clip(clip.name, times - times[0], clip.positions[kept], clip.turns[kept], False)
 
 
 def to_rig(clip: Clip) -> tuple[Rig, list[Pose]]:
@@ -195,34 +189,8 @@ def to_rig(clip: Clip) -> tuple[Rig, list[Pose]]:
     return rig, [pose_from_local_turns(rig, turn, root) for turn, root in zip(turns, roots, strict=True)]
 
 
-def write_clip(
-    name: str,
-    path: Path,
-    frames_per_second: float = 30.0,
-    repeats: int = 1,
-    mirror: bool = False,
-    stay: bool = False,
-) -> Path:
-    """Write one of the clips as a BVH file.
-
-    Args:
-        name: One of CLIPS.
-        path: The file to write.
-        frames_per_second: Its frame rate.
-        repeats: How often the clip is played, see :func:`repeated`.
-        mirror: Whether left and right are exchanged.
-        stay: Whether the figure stays in place, see :func:`in_place`.
-
-    Returns:
-        The path.
-
-    Raises:
-        ValueError: If there is no such clip, or one that does not loop is to be repeated.
-        PackageError: If the clips cannot be had.
-    """
-    clip = repeated(load_clip(name), repeats)
-    clip = mirrored(clip) if mirror else clip
-    clip = in_place(clip) if stay else clip
+def write_clip(clip: Clip, path: Path, frames_per_second: float = 30.0) -> Path:
+    """Write a clip as a BVH file, whose path is returned."""
     rig, poses = to_rig(resampled(clip, frames_per_second))
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,7 @@ class Recipe:
 
     Attributes:
         sex, garment, vertex_count: The character and what it wears.
-        clip: A motion-capture clip of :mod:`.motion`.
+        clip: A motion-capture clip of :mod:`.motion`, or one of :mod:`.keyframes`.
         samples: Most samples to simulate; None is the paper's whole plan, over all that the joints can do.
         pictured_samples: So many samples are pictured, too, in rows of four.
         processes: Bakes that run side by side.
@@ -24,6 +24,10 @@ class Recipe:
         film_size, film_rays: The film's pictures.
         film_speed: Share of the true speed at which the film plays.
         expected: Seconds that each stage is expected to take on two cores, in order.
+        repeats: How often the clip is played, one after the other.
+        played: First and last frame of that; 0 is its end.
+        stay: Whether the character stays in place.
+        coarse: Vertices of the coarse layer that the garment follows; 0 is none.
     """
 
     sex: str
@@ -43,11 +47,15 @@ class Recipe:
     film_rays: int
     film_speed: float
     expected: dict[str, float]
+    repeats: int = 1
+    played: tuple[int, int] = (1, 0)
+    stay: bool = False
+    coarse: int = 0
 
     @property
     def choices(self) -> dict[str, Any]:
         """All that decides the results."""
-        return {name: value for name, value in asdict(self).items() if name != "expected"}
+        return {name: value for name, value in asdict(self).items() if name not in ("expected", "processes")}
 
 
 FULL = Recipe(

@@ -13,7 +13,8 @@ from typing import Any, TypeVar
 
 from . import packages
 from .command import Listener, Verb, run_verb
-from .motion import write_clip
+from .keyframes import find_clip
+from .motion import in_place, part, repeated, resampled, write_clip
 from .picture import compose, make_film
 from .progress import Progress
 from .recipe import Recipe
@@ -24,7 +25,6 @@ from .samples import make_sample_clip
 from .scene import FRAMES_PER_SECOND, PIN_GROUP, build_character
 from .studio import make_live, make_playback, make_skinned
 
-COLUMNS = {"skinning": "Skinning alone", "synthesis": "Wrinkle Synthesis", "simulation": "Full simulation"}
 FILM_REPEATS = 3
 SHEET_COLUMNS = 4
 Entry = TypeVar("Entry")
@@ -43,23 +43,20 @@ def run_demo(out: Path, recipe: Recipe) -> dict[str, Any]:
     Raises:
         ValueError: One sentence, if a stage fails; what is done stays.
     """
-    demo = Demo(Path(out), recipe)
-    report: dict[str, Any] = {}
-    for stage, work in demo.stages.items():
-        demo.progress.begin(stage)
-        with demo.results.timed(stage):
-            found = work()
-        demo.progress.end(found.pop("note", ""))
-        report |= found
-    return demo.finish(report)
+    return Demo(Path(out), recipe).run()
 
 
 class Demo:
     """One demo at work; each stage is a method that returns what the report shall hold of it, and a note.
 
     Attributes:
+        columns: Captions of what is pictured side by side, by the names of the point caches.
         stages: Names and methods, in order.
     """
+
+    columns: Mapping[str, str] = {
+        "skinning": "Skinning alone", "synthesis": "Wrinkle Synthesis", "simulation": "Full simulation",
+    }  # fmt: skip
 
     def __init__(self, out: Path, recipe: Recipe):
         self.out, self.recipe = out, recipe
@@ -77,7 +74,18 @@ class Demo:
             "film": self.film,
         }
         self._scene, self._log = out / "scene.blend", out / "log.txt"
-        self._caches = {name: out / f"{name}.pc2" for name in COLUMNS}
+        self._caches = {name: out / f"{name}.pc2" for name in self.columns}
+
+    def run(self) -> dict[str, Any]:
+        """All stages that are not done yet; returns the report."""
+        report: dict[str, Any] = {}
+        for stage, work in self.stages.items():
+            self.progress.begin(stage)
+            with self.results.timed(stage):
+                found = work()
+            self.progress.end(found.pop("note", ""))
+            report |= found
+        return self.finish(report)
 
     # --- stages ---------------------------------------------------------------------------------------------------
 
@@ -90,7 +98,9 @@ class Demo:
                 packages.package_folder(package)
             with quiet():
                 build_character(self.out / "character.blend", recipe.sex, (recipe.garment,), recipe.vertex_count)
-            write_clip(recipe.clip, self.out / "clip.bvh", FRAMES_PER_SECOND)
+            whole = resampled(repeated(find_clip(recipe.clip), recipe.repeats), FRAMES_PER_SECOND)
+            clip = part(in_place(whole) if recipe.stay else whole, *recipe.played)
+            write_clip(clip, self.out / "clip.bvh", FRAMES_PER_SECOND)
             return {}
 
         return self.results.keep("character", make)
@@ -107,9 +117,10 @@ class Demo:
             chosen = ("--full",)
             if recipe.samples is not None:
                 chosen = ("--samples", str(recipe.samples), "--ranges", f"1:{animated['frames']}")
+            followed = ("--coarse", f"make:{recipe.coarse}") if recipe.coarse else ()
             setup = self._run(
                 "setup", out / "animated.blend", "--garment", recipe.garment, "--body", "body",
-                "--subdivide", "0", "--pins", PIN_GROUP, *chosen, "--out", self._scene,
+                "--subdivide", "0", "--pins", PIN_GROUP, *followed, *chosen, "--out", self._scene,
             )  # fmt: skip
             self.progress.update(0.8)
             return {"frames": animated["frames"], "setup": setup, "plan": self._run("plan", self._scene)}
@@ -147,7 +158,7 @@ class Demo:
         def make() -> dict[str, Any]:
             with quiet():
                 make_skinned(self._scene, self.recipe.garment, skinned)
-            self._run("synthesize", skinned, "--out", self._caches["skinning"])
+            self._run("synthesize", skinned, "--out", self._caches[next(iter(self.columns))])
             skinned.unlink()
             self.progress.update(0.5)
             made = self._run("synthesize", self._scene, "--out", self._caches["synthesis"])
@@ -161,18 +172,7 @@ class Demo:
         settled_count, simulated_count = -(-self._frame_count // step), len(self._simulated)
 
         def make() -> dict[str, Any]:
-            simulation = Verb(
-                [
-                    "simulate",
-                    self._scene,
-                    "--fine",
-                    "--frames",
-                    _span(self._simulated),
-                    "--out",
-                    self._caches["simulation"],
-                ],
-                self._log,
-            )
+            simulation = Verb(self._full_simulation, self._log)
             try:
                 settled = self._run(
                     "evaluate", self._scene, "--frames", f"1:{self._frame_count}:{step}",
@@ -183,7 +183,8 @@ class Demo:
                 simulation.stop()
             return settled
 
-        return {"settle": self.results.keep("settle", make)}
+        settled = self.results.keep("settle", make)
+        return {"settle": settled, "note": f"RMS {_errors(settled)} against the equilibrium"}
 
     def measure(self) -> dict[str, Any]:
         """`evaluate` against the recorded simulation."""
@@ -194,9 +195,8 @@ class Demo:
                 "--plots", self.out / "plots" / "simulate", listen=self._frames_told(len(self._simulated), 0.0, 1.0),
             )  # fmt: skip
 
-        simulated, settled = self.results.keep("simulate", make), self.results.read("settle")
-        note = f"RMS {_errors(settled)} against the equilibrium, {_errors(simulated)} against the simulation"
-        return {"simulate": simulated, "note": note}
+        simulated = self.results.keep("simulate", make)
+        return {"simulate": simulated, "note": f"RMS {_errors(simulated)} against the simulation"}
 
     def picture_samples(self) -> dict[str, Any]:
         """Samples from all over the plan, each with the joint and the node that it stands for."""
@@ -236,7 +236,7 @@ class Demo:
                     make_file(self._scene, recipe.garment, self._caches["synthesis"], self.out / name)
             pictures = self._render(rows, "stills", recipe.picture_size, recipe.picture_rays, close=True)
             corners = [[f"frame {frame}", "", ""] for frame in rows]
-            compose(pictures, list(COLUMNS.values()), corners, self.out / "side_by_side.png")
+            compose(pictures, list(self.columns.values()), corners, self.out / "side_by_side.png")
             return {"pictured_frames": rows}
 
         return self.results.keep("pictures", make)
@@ -246,10 +246,10 @@ class Demo:
         recipe, folder = self.recipe, self.out / "film"
 
         def make() -> dict[str, Any]:
-            frames = self._simulated[:: recipe.film_step]
+            frames, captions = self._simulated[:: recipe.film_step], list(self.columns.values())
             rows = self._render(frames, folder.name, recipe.film_size, recipe.film_rays)
             sheets = [
-                compose([row], list(COLUMNS.values()), [[""] * len(COLUMNS)], folder / f"sheet-{frame:04d}.png")
+                compose([row], captions, [[""] * len(captions)], folder / f"sheet-{frame:04d}.png")
                 for frame, row in zip(frames, rows, strict=True)
             ]
             speed = max(1, round(FRAMES_PER_SECOND * recipe.film_speed / recipe.film_step))
@@ -282,6 +282,12 @@ class Demo:
         first, last = self.recipe.simulated
         return range(first, min(last or self._frame_count, self._frame_count) + 1)
 
+    @property
+    def _full_simulation(self) -> list[str | Path]:
+        """The verb that records it."""
+        frames = ("--frames", _span(self._simulated))
+        return ["simulate", self._scene, "--fine", *frames, "--out", self._caches["simulation"]]
+
     def _run(self, *arguments: str | Path, listen: Listener = lambda line: None) -> dict[str, Any]:
         return run_verb(arguments, self._log, listen)
 
@@ -301,10 +307,10 @@ class Demo:
         self, frames: Sequence[int], folder: str, size: tuple[int, int], rays: int, close: bool = False
     ) -> list[list[Path]]:
         """Pictures of frames, a row each, a column for each cache."""
-        count = len(frames) * len(COLUMNS)
+        count = len(frames) * len(self.columns)
         playback, garment = self.out / "playback.blend", self.recipe.garment
         made = render_frames(playback, garment, self._caches, frames, self.out / folder, size, rays, close)
-        return _rows(self._counted(made, count), len(COLUMNS))
+        return _rows(self._counted(made, count), len(self.columns))
 
     def _counted(self, pictures: Iterable[Path], count: int) -> list[Path]:
         """Pictures as they are made, told as parts of the stage."""
