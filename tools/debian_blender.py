@@ -100,7 +100,7 @@ def enter(
 
 def with_screen(command: Sequence[object]) -> list[object]:
     """A command line that runs another one on a screen in memory."""
-    return ["xvfb-run", "--auto-servernum", "--server-args=-screen 0 1280x1400x24 +extension GLX", *command]
+    return ["xvfb-run", "--auto-servernum", "--server-args=-screen 0 1280x1700x24 +extension GLX", *command]
 
 
 def _can_go_offline() -> bool:

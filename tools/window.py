@@ -65,7 +65,7 @@ def _in_the_background(root: Path) -> None:
 def _first_day(root: Path) -> None:
     """From the first start on, whose kernels are not compiled yet, in a window."""
     shutil.rmtree(root / FRESH["WARP_CACHE_PATH"].strip("/"), ignore_errors=True)
-    size = ["--window-geometry", "0", "0", "1280", "1400"]
+    size = ["--window-geometry", "0", "0", "1280", "1700"]
     script = ["--python-exit-code", "1", f"{INSIDE}/figure.blend", "--python", f"{INSIDE}/source/tests/window/drive.py"]
     try:
         _step(root, "the window is clicked through", with_screen([*BLENDER, *size, *script, "--", f"{INSIDE}/shots"]))

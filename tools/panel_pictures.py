@@ -1,0 +1,52 @@
+"""Cut the pictures of docs/panel.md out of the screenshots that `make window` has left in build/window."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parent.parent
+SHOTS, PICTURES = ROOT / "build" / "window", ROOT / "docs" / "images" / "panel"
+PANELS = ("Character", "Joints", "Plan", "Bake", "Play", "Coarse Layer", "Cache", "Export", "Report")
+CUTS = {
+    "path": ("sidebar_played", "Character", "Report"),
+    "character": ("sidebar_played", "Character", "Character"),
+    "joints": ("sidebar_played", "Joints", "Joints"),
+    "plan": ("sidebar_played", "Plan", "Plan"),
+    "bake": ("sidebar_baking", "Bake", "Bake"),
+    "samples": ("sidebar_later_steps", "Bake", "Bake"),
+    "play": ("sidebar_played", "Play", "Play"),
+    "coarse_layer": ("sidebar_later_steps", "Coarse Layer", "Coarse Layer"),
+    "cache": ("sidebar_later_steps", "Cache", "Export"),
+    "report": ("sidebar_later_steps", "Report", "Report"),
+}
+"""For each picture the screenshot that it is cut out of, its first panel and its last."""
+
+GAP = 66.0
+"""Between two panels there is nothing but the sidebar's ground, which is darker than this [of 255]."""
+TABS = 26
+"""Width of the tabs beside the panels [pixels]."""
+
+
+def main() -> None:
+    for picture, (name, first, last) in CUTS.items():
+        shot = Image.open(next(SHOTS.glob(f"*_{name}.png"))).convert("RGB")
+        rows = panel_rows(np.asarray(shot, np.float64)[:, 8 : shot.width - TABS - 8])
+        if len(rows) != len(PANELS):
+            sys.exit(f"panel_pictures: {name} shows {len(rows)} panels, not {len(PANELS)}.")
+        top, bottom = rows[PANELS.index(first)][0], rows[PANELS.index(last)][1]
+        shot.crop((0, top, shot.width - TABS, bottom)).save(PICTURES / f"{picture}.png", optimize=True)
+
+
+def panel_rows(pixels: np.ndarray) -> list[tuple[int, int]]:
+    """First row of each panel and the row after its last, from the pixels of a sidebar, shape [height, width, 3]."""
+    is_gap = (np.ptp(pixels, axis=1).max(1) <= 12.0) & (pixels.mean((1, 2)) < GAP)
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], is_gap, [True]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+if __name__ == "__main__":
+    main()
