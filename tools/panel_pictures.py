@@ -29,12 +29,14 @@ GAP = 66.0
 """Between two panels there is nothing but the sidebar's ground, which is darker than this [of 255]."""
 TABS = 26
 """Width of the tabs beside the panels [pixels]."""
+STRIP = 15
+"""Less than any panel's height, more than what lies between two [pixels]."""
 
 
 def main() -> None:
     for picture, (name, first, last) in CUTS.items():
         shot = Image.open(next(SHOTS.glob(f"*_{name}.png"))).convert("RGB")
-        rows = panel_rows(np.asarray(shot, np.float64)[:, 8 : shot.width - TABS - 8])
+        rows = panel_rows(np.asarray(shot, np.float64)[:, 2 : shot.width - TABS])
         if len(rows) != len(PANELS):
             sys.exit(f"panel_pictures: {name} shows {len(rows)} panels, not {len(PANELS)}.")
         top, bottom = rows[PANELS.index(first)][0], rows[PANELS.index(last)][1]
@@ -45,7 +47,8 @@ def panel_rows(pixels: np.ndarray) -> list[tuple[int, int]]:
     """First row of each panel and the row after its last, from the pixels of a sidebar, shape [height, width, 3]."""
     is_gap = (np.ptp(pixels, axis=1).max(1) <= 12.0) & (pixels.mean((1, 2)) < GAP)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], is_gap, [True]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+    # Above each panel lies a strip that a panel is dragged over.
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a > STRIP]
 
 
 if __name__ == "__main__":
