@@ -27,8 +27,8 @@ CUTS = {
 
 GAP = 66.0
 """Between two panels there is nothing but the sidebar's ground, which is darker than this [of 255]."""
-TABS = 26
-"""Width of the tabs beside the panels [pixels]."""
+LEFT, RIGHT = 9, 30
+"""What lies in the sidebar beside its panels: a margin, and the tabs [pixels]."""
 STRIP = 15
 """Less than any panel's height, more than what lies between two [pixels]."""
 
@@ -36,15 +36,16 @@ STRIP = 15
 def main() -> None:
     for picture, (name, first, last) in CUTS.items():
         shot = Image.open(next(SHOTS.glob(f"*_{name}.png"))).convert("RGB")
-        rows = panel_rows(np.asarray(shot, np.float64)[:, 2 : shot.width - TABS])
-        if len(rows) != len(PANELS):
-            sys.exit(f"panel_pictures: {name} shows {len(rows)} panels, not {len(PANELS)}.")
+        rows = panel_rows(np.asarray(shot, np.float64)[:, LEFT + 2 : shot.width - RIGHT])
+        if len(rows) < len(PANELS):
+            sys.exit(f"panel_pictures: {name} shows {len(rows)} panels of {len(PANELS)}.")
         top, bottom = rows[PANELS.index(first)][0], rows[PANELS.index(last)][1]
-        shot.crop((0, top, shot.width - TABS, bottom)).save(PICTURES / f"{picture}.png", optimize=True)
+        shot.crop((LEFT, top, shot.width - RIGHT, bottom)).save(PICTURES / f"{picture}.png", optimize=True)
 
 
 def panel_rows(pixels: np.ndarray) -> list[tuple[int, int]]:
-    """First row of each panel and the row after its last, from the pixels of a sidebar, shape [height, width, 3]."""
+    """First row of each panel and the row after its last, from the pixels of a sidebar, shape [height, width, 3]; what
+    lies below them counts as one more."""
     is_gap = (np.ptp(pixels, axis=1).max(1) <= 12.0) & (pixels.mean((1, 2)) < GAP)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], is_gap, [True]]).astype(np.int8)))
     # Above each panel lies a strip that a panel is dragged over.

@@ -134,15 +134,17 @@ def play(hand: Hand) -> Steps:
     bpy.context.scene.frame_set(14)
     yield 1.0
     assert wrinkles() > 1e-3 and not playback.status(garment()).error, playback.status(garment()).error
+    # What was found there was before the bake.
+    inspection.found.clear()
     yield from hand.shoot("played")
     yield from hand.shoot("sidebar_played", sidebar=True)
     frames: list[int] = []
     bpy.app.handlers.frame_change_post.append(lambda scene, depsgraph: frames.append(scene.frame_current))
+    began = time.monotonic()
     yield from hand.press("space")
-    yield 3.0
+    yield from wait_for(lambda: len(frames) > 10, "the animation plays")
+    say(f"playing drew {len(frames)} frames in {time.monotonic() - began:.0f} s, without a graphics card")
     yield from hand.press("space")
-    assert len(frames) > 3, frames
-    say(f"playing drew {len(frames)} frames in 3 s, without a graphics card")
 
 
 def wrinkles() -> float:
