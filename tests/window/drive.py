@@ -250,7 +250,7 @@ def later_steps(hand: Hand) -> Steps:
     yield from open_sidebar(hand)
     settings = garment().wrinkles
     settings.active_joint = settings.joints.find("elbow_L")
-    settings.ghost.angles[0] = math.radians(-60.0)
+    settings.ghost.angles[0] = elbow().high[0]
     settings.ghost.shows = True
     settings.coarse_layer = "SIMULATION"
     yield from hand.shoot("later_steps")
