@@ -32,7 +32,7 @@ extension: setup
 	$(BIN)/python tools/main_job.py
 
 window: extension
-	$(BIN)/python tools/window.py
+	$(BIN)/python tools/window.py $(WINDOW)
 
 .PHONY: docs
 docs:

@@ -115,7 +115,10 @@ def _status(process: FileProcess) -> str:
 
 
 def _redraw(context: bpy.types.Context) -> None:
+    # The sidebars alone: drawing the scene anew with every tick takes time from what works behind the window.
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
-                area.tag_redraw()
+                for region in area.regions:
+                    if region.type == "UI":
+                        region.tag_redraw()

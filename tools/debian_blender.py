@@ -31,8 +31,11 @@ class Unavailable(RuntimeError):
     """There is no such Blender here, and none can be built; one sentence."""
 
 
-def blender_root() -> Path:
+def blender_root(*, build: bool = True) -> Path:
     """The root folder, built if there is none: $WRINKLE_BLENDER_ROOT, or one in the user's cache folder.
+
+    Args:
+        build: Whether to build it; else what there is not is unavailable.
 
     Raises:
         Unavailable: If it can be neither used nor built here.
@@ -44,6 +47,8 @@ def blender_root() -> Path:
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     root = Path(os.environ.get(ROOT_VARIABLE) or cache / "wrinkle_synthesis" / f"blender-{BLENDER}")
     if not (root / "usr/bin/blender").exists():
+        if not build:
+            raise Unavailable(f"there is no Blender {BLENDER} in {root}; make window builds it")
         _bootstrap(root)
     if enter(root, ["python3", "-c", PROBE], quiet=True).returncode:
         _install(root, PACKAGES)
@@ -95,7 +100,7 @@ def enter(
 
 def with_screen(command: Sequence[object]) -> list[object]:
     """A command line that runs another one on a screen in memory."""
-    return ["xvfb-run", "--auto-servernum", "--server-args=-screen 0 1280x1400x24 +extension GLX", *command]
+    return ["xvfb-run", "--auto-servernum", "--server-args=-screen 0 1280x1700x24 +extension GLX", *command]
 
 
 def _can_go_offline() -> bool:

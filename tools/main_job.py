@@ -37,14 +37,15 @@ def verbs(folder: str) -> list[list[str]]:
 
 
 def write_figure(path: Path) -> None:
-    """A file with a body in a shirt that is not set up: the tests' character."""
+    """A file with a body in a shirt that is not set up: the tests' character, as if out of another program."""
     sys.path.insert(0, str(ROOT / "tests"))
     import bpy
     from dolls import doll  # pyright: ignore[reportMissingImports]
-    from figures import build_figure  # pyright: ignore[reportMissingImports]
+    from figures import build_figure, leave_as_imported  # pyright: ignore[reportMissingImports]
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     build_figure(doll(31, 12))
+    leave_as_imported()
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
 
 

@@ -1,6 +1,7 @@
 """Try the extension as an artist has it: from its zip, in a real Blender with a window, without the internet.
 
-Where no such Blender can be set up, that is said and nothing is tried. Screenshots lie in build/window afterwards.
+Where no such Blender can be set up, that is said and nothing is tried. Screenshots lie in build/window afterwards. With
+the argument "day" only the zip is installed and the window clicked through, in a Blender that was set up before.
 """
 
 from __future__ import annotations
@@ -31,27 +32,43 @@ PIXEL_TESTS = {
 }
 
 
-def main() -> None:
+BLENDER = ("blender", "--offline-mode")
+
+LONGEST = 1800.0
+"""What a step may take on a busy machine [s]."""
+
+
+def main(*, day_only: bool) -> None:
     try:
-        root = blender_root()
+        root = blender_root(build=not day_only)
     except Unavailable as reason:
         print(f"window: LEFT OUT, nothing was tried in a window: {reason}.", flush=True)
         return
     archive = _lay_out(root)
-    blender = ["blender", "--offline-mode"]
-    install = [*blender, "--command", "extension", "install-file", "-r", "user_default", "-e", f"{INSIDE}/{archive}"]
-    _step(root, "the zip is installed", install)
+    install = ["--command", "extension", "install-file", "-r", "user_default", "-e", f"{INSIDE}/{archive}"]
+    _step(root, "the zip is installed", [*BLENDER, *install])
+    if not day_only:
+        _in_the_background(root)
+    _first_day(root)
+
+
+def _in_the_background(root: Path) -> None:
+    """The main job on the command line, and renders by their pixels."""
     for verb in verbs(INSIDE):
-        _step(root, f"wrinkle {verb[0]}", [*blender, "--background", "--command", "wrinkle", *verb])
+        _step(root, f"wrinkle {verb[0]}", [*BLENDER, "--background", "--command", "wrinkle", *verb])
     pixels = ["--factory-startup", "--background", "--python", f"{INSIDE}/source/tools/run_pytest.py", "--"]
     for engine, tests in PIXEL_TESTS.items():
-        command = with_screen([*blender, *pixels, f"{INSIDE}/packages", *tests])
+        command = with_screen([*BLENDER, *pixels, f"{INSIDE}/packages", *tests])
         _step(root, f"renders of {engine} are right by their pixels", command)
+
+
+def _first_day(root: Path) -> None:
+    """From the first start on, whose kernels are not compiled yet, in a window."""
     shutil.rmtree(root / FRESH["WARP_CACHE_PATH"].strip("/"), ignore_errors=True)
-    size = ["--window-geometry", "0", "0", "1280", "1400"]
+    size = ["--window-geometry", "0", "0", "1280", "1700"]
     script = ["--python-exit-code", "1", f"{INSIDE}/figure.blend", "--python", f"{INSIDE}/source/tests/window/drive.py"]
     try:
-        _step(root, "the window is clicked through", with_screen([*blender, *size, *script, "--", f"{INSIDE}/shots"]))
+        _step(root, "the window is clicked through", with_screen([*BLENDER, *size, *script, "--", f"{INSIDE}/shots"]))
     finally:
         shutil.rmtree(SHOTS, ignore_errors=True)
         shutil.copytree(root / INSIDE.strip("/") / "shots", SHOTS)
@@ -88,7 +105,7 @@ def _unpack_wheels(archive: Path, folder: Path) -> None:
 
 def _step(root: Path, what: str, command: Sequence[object]) -> None:
     began = time.monotonic()
-    outcome = enter(root, command, environment=FRESH, folder=f"{INSIDE}", offline=True, quiet=True)
+    outcome = enter(root, command, environment=FRESH, folder=INSIDE, timeout=LONGEST, offline=True, quiet=True)
     if outcome.returncode:
         print(outcome.stdout)
         sys.exit(f"window: not so: {what} (code {outcome.returncode}).")
@@ -99,4 +116,4 @@ def _step(root: Path, what: str, command: Sequence[object]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(day_only=sys.argv[1:] == ["day"])

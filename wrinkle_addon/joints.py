@@ -24,6 +24,10 @@ JOINT_NAMES = (
 # (Inman, Saunders & Abbott 1944, Observations on the function of the shoulder joint).
 CLAVICLE_SHARE = 0.25
 
+MOST_TWIST = np.radians(120.0)
+"""A ball is sampled no further about its limb [rad]: skinned half way, the limb is then cos 60 degrees = half as thick.
+Captured arms and legs twist up to 180 degrees for a moment, where the angle also changes its sign."""
+
 _WORDS = {"L": "left", "R": "right"}
 _LIMB_OF = {"elbow": "arm", "shoulder": "arm", "knee": "leg", "hip": "leg"}
 
@@ -148,7 +152,8 @@ def ranges_from_poses(
 ) -> list[Joint]:
     """The joints limited to the angles that these poses use, plus a margin; every range holds the rest angle 0.
 
-    Where the poses move the clavicles, their measured share of the shoulder's swing replaces the default.
+    The twist of a ball goes no further than :data:`MOST_TWIST`. Where the poses move the clavicles, their measured
+    share of the shoulder's swing replaces the default.
 
     Args:
         rig: The rig.
@@ -171,6 +176,8 @@ def _fitted(rig: Rig, joint: Joint, turns: FloatArray, margin: float) -> Joint:
     angles = np.stack([joint.angles_of_turn(turn) for turn in relative])
     low, high = angles.min(0) - margin, angles.max(0) + margin
     limits = np.stack([np.minimum(low, 0.0), np.maximum(high, 0.0)], axis=1)
+    if joint.dof == 3:
+        limits[0] = np.clip(limits[0], -MOST_TWIST, MOST_TWIST)
     return replace(joint, limits=limits, shares=_measured_shares(rig, joint, turns, near, angles))
 
 

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 import pytest
 from dolls import doll
-from figures import build_figure
+from figures import build_figure, leave_as_imported
 from small_character import Arm, Bumps, build_arm, empty_scene, evaluated_positions
 from wrinkle_synthesis.wrinkle_addon.blender import file_process, playback
 from wrinkle_synthesis.wrinkle_addon.blender.bake_process import BakeProcess
@@ -59,6 +59,22 @@ def test_setting_up_makes_a_fine_garment_and_finds_its_joints() -> None:
     assert garment.name == "shirt.wrinkles"
     assert {joint.name for joint in garment.wrinkles.joints} >= {"elbow_L", "elbow_R", "shoulder_L", "shoulder_R"}
     assert not garment.wrinkles.enabled
+
+
+@pytest.mark.parametrize("convention", ["Mixamo", "Unreal"])
+def test_a_character_out_of_another_program_is_set_up_like_one_made_here(convention: str) -> None:
+    found = []
+    for imported in (False, True):
+        empty_scene()
+        build_figure(doll(21, 8))
+        if imported:
+            leave_as_imported(convention)
+        assert bpy.ops.wrinkle.setup_garment(garment="shirt", body="body", subdivide=0) == {"FINISHED"}
+        settings = bpy.context.object.wrinkles
+        found.append({joint.name: (*joint.low, *joint.high) for joint in settings.joints})
+    # A centimetre is a hundredth in single precision.
+    assert found[0].keys() == found[1].keys()
+    np.testing.assert_allclose([*found[0].values()], [*found[1].values()], atol=1e-4)
 
 
 def test_setting_up_says_which_joints_are_missing_and_why(arm: Arm) -> None:

@@ -171,6 +171,17 @@ def test_the_plan_is_counted_as_it_is_changed(wrinkle, shirt: bpy.types.Object, 
         assert shown.seconds == pytest.approx(3600 * planned["hours"])
 
 
+def test_the_samples_that_were_asked_for_are_those_that_are_told(shirt: bpy.types.Object) -> None:
+    shirt.wrinkles.plan, shirt.wrinkles.budget = "BUDGET", 8
+    for joint in shirt.wrinkles.joints:
+        joint.enabled = joint.name.startswith("elbow")
+    shirt.wrinkles.use_symmetry = False
+    assert "8 and the rest pose" in draw(panels.plan.WRINKLE_PT_plan).text
+    shirt.wrinkles.use_symmetry = True
+    text = draw(panels.plan.WRINKLE_PT_plan).text
+    assert "8 and the rest pose" in text and "Mirrored 8" in " ".join(text.split())
+
+
 def test_a_joint_may_have_a_step_of_its_own(shirt: bpy.types.Object) -> None:
     joint = shirt.wrinkles.joints["elbow_L"]
     joint.low[0], joint.high[0] = 0.0, np.radians(90.0)

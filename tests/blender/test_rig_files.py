@@ -148,7 +148,7 @@ def test_bad_files_are_said_in_one_sentence(clip: Path, tmp_path: Path) -> None:
 
 
 def test_several_armatures_must_be_named(clip: Path, tmp_path: Path) -> None:
-    skinned_armature()
+    armature_of(human(UNREAL))
     armature_of(human(UNREAL)).name = "Other"
     path = save(".blend", tmp_path)
     with pytest.raises(ValueError, match="several armatures, Figure, Other; name one"):
@@ -156,3 +156,10 @@ def test_several_armatures_must_be_named(clip: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no armature Third; it has Figure, Other"):
         joints_of_file(path, "Third")
     assert joints_of_file(path, "Other")["knee_L"]["bones"] == ["calf_l"]
+
+
+def test_of_several_armatures_the_only_one_that_moves_a_mesh_is_meant(tmp_path: Path) -> None:
+    skinned_armature()
+    # As a generated Rigify rig lies beside what it was generated from.
+    armature_of(human()).name = "metarig"
+    assert joints_of_file(save(".blend", tmp_path))["knee_L"]["bones"] == ["calf_l"]

@@ -40,7 +40,7 @@ def test_options_that_are_mentioned_exist():
         assert mentioned - BLENDERS <= options, page.name
 
 
-BLENDERS = {"--background", "--command"}
+BLENDERS = {"--background", "--command", "--enable-autoexec"}
 """Options of Blender's own, which the pages name."""
 
 

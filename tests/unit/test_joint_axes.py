@@ -9,7 +9,7 @@ import pytest
 import skeletons
 from skeletons import human, nameless, rested, t_posed
 from wrinkle_synthesis.wrinkle_addon import rotations
-from wrinkle_synthesis.wrinkle_addon.joints import find_joints, make_joint, ranges_from_poses, with_ranges
+from wrinkle_synthesis.wrinkle_addon.joints import MOST_TWIST, find_joints, make_joint, ranges_from_poses, with_ranges
 from wrinkle_synthesis.wrinkle_addon.rig import Joint, Pose, Rig, joint_angles, pose_of_angles
 
 BODIES = {"A-pose": human(), "T-pose": t_posed(human())}
@@ -123,6 +123,16 @@ def test_ranges_from_an_action_are_what_it_uses_and_a_margin() -> None:
     np.testing.assert_allclose(fitted["elbow_L"].limits, [[0.0, 0.95]], atol=1e-9)
     np.testing.assert_allclose(fitted["hip_R"].limits, [[-0.05, 0.05], [0.0, 0.95], [-0.05, 0.05]], atol=1e-9)
     np.testing.assert_allclose(fitted["knee_L"].limits, [[-0.05, 0.05]], atol=1e-9)
+
+
+def test_a_limb_that_an_action_twists_around_is_sampled_as_far_as_skinning_bears() -> None:
+    rig = human()
+    joint = find_joints(rig).joints["shoulder_R"]
+    poses = [pose_of_angles(rig, [joint], {"shoulder_R": [a, 0.8, 0.0]}) for a in np.radians([-170, -50, 60, 179])]
+    (fitted,) = ranges_from_poses(rig, [joint], poses)
+    np.testing.assert_allclose(fitted.limits[0], [-MOST_TWIST, MOST_TWIST])
+    # The clavicle's share of the swing makes it a little more or less than what was given.
+    np.testing.assert_allclose(fitted.limits[1], [0.0, 0.8 + np.radians(5.0)], atol=1e-6)
 
 
 def test_the_clavicles_share_is_measured_where_an_action_moves_them() -> None:

@@ -18,6 +18,9 @@ ROW = 11
 class Hand:
     """Works the sidebar of the largest 3D view, and takes pictures of the screen.
 
+    Attributes:
+        window: Blender's first window.
+
     Args:
         shots: Folder for pictures.
     """
@@ -27,19 +30,29 @@ class Hand:
         self._count = 0
         self._last = 10_000
         self.window = bpy.context.window_manager.windows[0]
-        areas = [area for area in self.window.screen.areas if area.type == "VIEW_3D"]
-        self.area = max(areas, key=lambda area: area.width * area.height)
+
+    @property
+    def area(self) -> bpy.types.Area:
+        """The largest 3D view of the workspace that is shown; what became of it, if it shows something else now."""
+        areas = self.window.screen.areas
+        views = [area for area in areas if area.type == "VIEW_3D"]
+        return max(views or areas, key=lambda area: area.width * area.height)
 
     def region(self, kind: str) -> bpy.types.Region:
         return next(region for region in self.area.regions if region.type == kind)
 
-    def shoot(self, name: str) -> Steps:
-        """Take a picture of the screen, numbered in order, the pointer out of the way."""
+    def shoot(self, name: str, *, sidebar: bool = False) -> Steps:
+        """Take a picture of the screen, or of the sidebar alone, numbered in order, the pointer out of the way."""
         self.point(2, 2)
         yield 0.6
         self._count += 1
         path = self._shots / f"{self._count:02}_{name}.png"
-        subprocess.run(["import", "-window", "root", str(path)], check=True)
+        part = []
+        if sidebar:
+            region = self.region("UI")
+            top = self.window.height - region.y - region.height
+            part = ["-crop", f"{region.width}x{region.height}+{region.x}+{top}", "+repage"]
+        subprocess.run(["import", "-window", "root", *part, str(path)], check=True)
 
     def click(self, operator: str) -> Steps:
         """Click the sidebar's button of an operator, wherever it is; it must be there.

@@ -58,7 +58,8 @@ def _weld(mesh: bpy.types.Mesh) -> None:
 
 
 def choose_armature(name: str | None = None) -> bpy.types.Object:
-    """The armature of the open file: the named one, or the only one.
+    """The armature of the open file: the named one, the only one, or the only one that moves a mesh: a generated Rigify
+    rig lies beside its metarig, which moves none.
 
     Raises:
         ValueError: If there is none, none of that name, or several and no name; one sentence that lists them.
@@ -72,9 +73,19 @@ def choose_armature(name: str | None = None) -> bpy.types.Object:
             if ob.name == name:
                 return ob
         raise ValueError(f"The file has no armature {name}; it has {names}.")
-    if len(armatures) > 1:
+    moving = [ob for ob in armatures if _moves_a_mesh(ob)] or armatures
+    if len(moving) > 1:
         raise ValueError(f"The file has several armatures, {names}; name one.")
-    return armatures[0]
+    return moving[0]
+
+
+def _moves_a_mesh(armature: bpy.types.Object) -> bool:
+    return any(
+        modifier.type == "ARMATURE" and modifier.object == armature
+        for ob in bpy.data.objects
+        if ob.type == "MESH" and ob.users_scene
+        for modifier in ob.modifiers
+    )
 
 
 def check_output(path: Path, *suffixes: str) -> None:

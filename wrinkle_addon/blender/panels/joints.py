@@ -59,7 +59,7 @@ def _draw_joint(
     context: bpy.types.Context, layout: bpy.types.UILayout, garment: bpy.types.Object, joint: JointSettings
 ) -> None:
     definition = json.loads(joint.definition)
-    layout.label(text=", ".join(definition["bones"]), icon="BONE_DATA", translate=False)
+    say(context, layout, ", ".join(definition["bones"]), icon="BONE_DATA", translate=False)
     preview = preview_plan(garment)
     counts = preview.grids.get(joint.name) if preview else None
     for axis, name in enumerate(axis_names(joint)):

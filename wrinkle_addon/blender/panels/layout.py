@@ -52,13 +52,15 @@ def settings_column(layout: bpy.types.UILayout, *, animated: bool = False) -> bp
     return column
 
 
-def say(context: bpy.types.Context, layout: bpy.types.UILayout, text: str, icon: str = "NONE") -> None:
+def say(
+    context: bpy.types.Context, layout: bpy.types.UILayout, text: str, icon: str = "NONE", *, translate: bool = True
+) -> None:
     """A sentence over as many lines as the sidebar's width asks for."""
     scale = context.preferences.system.ui_scale
     characters = max(20, int(context.region.width / (7.0 * scale)) - 4)
     column = layout.column(align=True)
     column.scale_y = 0.8
-    for number, line in enumerate(textwrap.wrap(translated(text), characters)):
+    for number, line in enumerate(textwrap.wrap(translated(text) if translate else text, characters)):
         column.label(text=line, icon=icon if number == 0 else "NONE", translate=False)
 
 

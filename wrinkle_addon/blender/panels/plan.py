@@ -32,11 +32,11 @@ class WRINKLE_PT_plan(GarmentPanel, bpy.types.Panel):
         if preview is None:
             say(context, layout, "Nothing to sample: switch a joint on in the list of joints.", icon="ERROR")
             return
-        numbers = {
-            "Samples": translated("{all}, {own} to simulate").format(all=preview.samples, own=preview.simulated),
-            "Size": translated("{size:.1f} MB at most").format(size=max(preview.megabytes, 0.1)),
-            "Time": translated("about {time} on one core").format(time=preview.duration),
-        }
+        numbers = {"To Simulate": translated("{count} and the rest pose").format(count=preview.simulated - 1)}
+        if preview.simulated < preview.samples:
+            numbers["Mirrored"] = str(preview.samples - preview.simulated)
+        numbers["Size"] = translated("{size:.1f} MB at most").format(size=max(preview.megabytes, 0.1))
+        numbers["On One Core"] = translated("about {time}").format(time=preview.duration)
         try:
             numbers["Device"] = choose_device(device_name())
         except ValueError as error:
