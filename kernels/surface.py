@@ -118,15 +118,16 @@ def depth_in_body(
     faces: wp.array2d[wp.int32],
     body: wp.array[wp.vec3],
     clear: wp.float32,
+    everywhere: wp.bool,
     # outputs
     depth: wp.array[wp.float32],
     covered: wp.array[wp.int32],
 ):
     """How deep each point lies inside a body [m], 0 outside, and whether the body covers its own skin there.
 
-    Inside is where the winding number exceeds one half (Barill et al. 2018), which holds for surfaces with small
-    holes and for bodies that cut into themselves. The skin is covered where ``clear`` [m] above the closest point is
-    inside the body again.
+    The latter is looked for inside alone, or ``everywhere``. Inside is where the winding number exceeds one half
+    (Barill et al. 2018), which holds for surfaces with small holes and for bodies that cut into themselves. The skin is
+    covered where ``clear`` [m] above the closest point is inside the body again.
     """
     i = wp.tid()
     p = points[i]
@@ -136,6 +137,9 @@ def depth_in_body(
     c = body[faces[query.face, 2]]
     closest = query.u * a + query.v * b + (1.0 - query.u - query.v) * c
     depth[i] = wp.where(query.sign < 0.0, wp.length(p - closest), 0.0)
+    covered[i] = 0
+    if not everywhere and query.sign >= 0.0:
+        return
     above = closest + clear * wp.normalize(wp.cross(b - a, c - a))
     over = wp.mesh_query_point_sign_winding_number(mesh, above, 1.0e6)
     covered[i] = wp.where(over.sign < 0.0, 1, 0)

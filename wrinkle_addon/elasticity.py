@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -57,6 +58,27 @@ class ElasticElements(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class _Part:
+    """Triangles of one fabric: their membrane and damping, and their part of each array of :class:`Elasticity`.
+
+    Attributes:
+        rest: Faces, inverse of the rest edge matrix, rest area.
+    """
+
+    material: membrane.Membrane
+    damping: triangles.Damping
+    rest: tuple[wp.array, wp.array, wp.array]
+    deformation: wp.array
+    stress: wp.array
+    tangent: wp.array
+    held: wp.array
+    energy: wp.array
+
+    def launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
+        wp.launch(kernel, dim=self.stress.shape, inputs=inputs, outputs=outputs, device=self.stress.device)
+
+
 class Elasticity:
     """How the fabric resists being deformed.
 
@@ -91,11 +113,9 @@ class Elasticity:
 
     def deform(self, positions: wp.array) -> None:
         """Find strain, stress and energy at these positions [m]."""
-        g = self._garment
-        for where, material, damping in self._parts:
-            rest = [g.faces[where], g.rest_inverse[where], g.rest_area[where]]
-            found = [self.deformation, self.stress, self._triangle_energy]
-            self._launch(triangles.deform_triangles, where, [positions, *rest, material, damping], found)
+        for part in self._parts:
+            found = [part.deformation, part.stress, part.energy]
+            part.launch(triangles.deform_triangles, [positions, *part.rest, part.material, part.damping], found)
         for elements in self.elements:
             elements.deform(positions)
 
@@ -113,7 +133,8 @@ class Elasticity:
         """Take the strain at these positions [m] for the one that a time step begins with."""
         if self._before is not None:
             self.deform(positions)
-            self._launch(triangles.strain_triangles, slice(0, self.stress.shape[1]), [self.deformation], [self._before])
+            for part in self._parts:
+                part.launch(triangles.strain_triangles, [part.deformation], [part.damping.before])
 
     def set_damping_rate(self, rate: float) -> None:
         """1 / the length of the time step [1/s] that damping acts in; 0 for none."""
@@ -132,22 +153,26 @@ class Elasticity:
 
         ``kept`` is the share of its compressive stress that each world takes into account, shape [world_count].
         """
-        for where, material, damping in self._parts:
-            strained = [self.deformation[:, where], self.stress[:, where]]
-            found = [self.tangent, self.held]
-            self._launch(triangles.linearise_triangles, where, [*strained, material, damping, kept], found)
+        for part in self._parts:
+            inputs = [part.deformation, part.stress, part.material, part.damping, kept]
+            part.launch(triangles.linearise_triangles, inputs, [part.tangent, part.held])
 
-    def _make_part(self, part: FabricPart) -> tuple[slice, membrane.Membrane, triangles.Damping]:
-        """Triangles of one fabric, their membrane and their damping."""
+    def _make_part(self, part: FabricPart) -> _Part:
+        where, g = part.triangles, self._garment
         damping = triangles.Damping()
         damping.viscosity, damping.rate = wp.vec4d(*part.fabric.viscosity), self._rate
         if self._before is not None:
-            damping.before = self._before[:, part.triangles]
-        return part.triangles, membrane_of(part.fabric), damping
-
-    def _launch(self, kernel: Any, where: slice, inputs: list, outputs: list) -> None:
-        dim = (self.stress.shape[0], where.stop - where.start)
-        wp.launch(kernel, dim=dim, inputs=inputs, outputs=[found[:, where] for found in outputs], device=self._device)
+            damping.before = self._before[:, where]
+        return _Part(
+            material=membrane_of(part.fabric),
+            damping=damping,
+            rest=(g.faces[where], g.rest_inverse[where], g.rest_area[where]),
+            deformation=self.deformation[:, where],
+            stress=self.stress[:, where],
+            tangent=self.tangent[:, where],
+            held=self.held[:, where],
+            energy=self._triangle_energy[:, where],
+        )
 
 
 class _Gathered:

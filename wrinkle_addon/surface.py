@@ -117,21 +117,31 @@ class BodyVolume:
         self._mesh = wp.Mesh(points=self._positions, indices=self._faces.flatten(), support_winding_number=True)
 
     def depth(self, points: FloatArray, clear: float = 0.001) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """How deep points lie inside the body, and which of them where the body itself leaves no place.
+        """How deep points lie inside the body, and which of these where the body itself leaves no place.
 
         Args:
             points: Where to look [m], shape [point_count, 3].
             clear: The body leaves no place where it is met again this far above its skin [m].
 
         Returns:
-            Distance to the closest skin [m], 0 outside, and whether the body covers that skin, both [point_count].
+            Distance to the closest skin [m], 0 outside, and whether the body covers that skin, both [point_count]; the
+            latter is only told of points inside.
         """
+        return self._look(points, clear, everywhere=False)
+
+    def overlap(self, points: FloatArray, clear: float = 0.001) -> NDArray[np.bool_]:
+        """Whether the body covers the skin that is closest to each point, inside or not, as :meth:`depth` tells."""
+        return self._look(points, clear, everywhere=True)[1]
+
+    def _look(
+        self, points: FloatArray, clear: float, *, everywhere: bool
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         depth = wp.zeros(len(points), dtype=wp.float32, device="cpu")
         covered = wp.zeros(len(points), dtype=wp.int32, device="cpu")
         wp.launch(
             depth_in_body,
             dim=len(points),
-            inputs=[_points(points), self._mesh.id, self._faces, self._positions, clear],
+            inputs=[_points(points), self._mesh.id, self._faces, self._positions, clear, everywhere],
             outputs=[depth, covered],
             device="cpu",
         )

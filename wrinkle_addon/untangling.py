@@ -65,7 +65,7 @@ def untangle(
     while True:
         edges, faces = surface.self_crossings(positions)
         if body is not None and len(edges):
-            _, overlap = body.depth(positions[surface.faces[faces]].mean(1))
+            overlap = body.overlap(positions[surface.faces[faces]].mean(1))
             edges, faces = edges[~overlap], faces[~overlap]
         if not pierced or len(edges) < min(pierced):
             best = positions

@@ -14,6 +14,8 @@ from .topology import mesh_edges
 
 # Rows hold what is within reach and this many reaches more: longer rows last longer, but take longer to renew and read.
 MARGIN_REACHES = 0.5
+# Elements that a leaf of a tree holds: each search finds a dozen.
+LEAF = 8
 # Of the margin, what float32 may lose [m] at lengths up to 10 m.
 ROUNDING = 1.0e-5
 
@@ -111,9 +113,11 @@ class VerletLists:
         indices = wp.array(self._faces.numpy().ravel(), dtype=wp.int32, device=self._device)
         self._lower, self._upper = (self._zeros((len(points), len(self.edges)), wp.vec3) for _ in range(2))
         self._bound_edges()
-        self._triangle_trees = [wp.Mesh(points=self._listed[world], indices=indices) for world in worlds]
-        self._edge_trees = [wp.Bvh(self._lower[world], self._upper[world]) for world in worlds]
-        self._vertex_trees = [wp.Bvh(self._listed[world], self._listed[world]) for world in worlds]
+        self._triangle_trees = [
+            wp.Mesh(points=self._listed[world], indices=indices, bvh_leaf_size=LEAF) for world in worlds
+        ]
+        self._edge_trees = [wp.Bvh(self._lower[world], self._upper[world], leaf_size=LEAF) for world in worlds]
+        self._vertex_trees = [wp.Bvh(self._listed[world], self._listed[world], leaf_size=LEAF) for world in worlds]
         self._triangle_ids, self._edge_ids, self._vertex_ids = (
             wp.array([tree.id for tree in trees], dtype=wp.uint64, device=self._device)
             for trees in (self._triangle_trees, self._edge_trees, self._vertex_trees)

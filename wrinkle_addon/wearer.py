@@ -230,7 +230,7 @@ class Wearer:
         body = BodyVolume(self.simulation.body_positions[world], self._body_faces)
         depth, overlap = body.depth(positions, limit)
         pairs = self._surface.self_intersections(positions)
-        _, between = body.depth(positions[self.garment.faces[pairs]].mean((1, 2)), limit)
+        between = body.overlap(positions[self.garment.faces[pairs]].mean((1, 2)), limit)
         return {
             "inside": int((depth > limit)[~overlap].sum()),
             "inside_overlap": int((depth > limit)[overlap].sum()),
