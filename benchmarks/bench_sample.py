@@ -1,5 +1,8 @@
 """How long one sample of a bake takes: the demo's shirt walked to a node of the plan and settled there.
 
+Settled twice: to a residual of one nodal weight, which is what the target asks for, and to the tolerance of a bake.
+Where the time goes is looked for in a third run, as looking takes time, too.
+
 Beside it, what a frame of Blender's own Cloth costs on the same shirt with self-collision on and twice its default
 steps, and so how many of its frames a sample is worth. Blender's Cloth has no test for equilibrium; a shape at rest
 takes it tens of frames.
@@ -26,6 +29,8 @@ from wrinkle_synthesis.wrinkle_addon.wearer import BakeSettings, Wearer
 SIZES = (2_000, 12_000, 25_000)
 MOST_SECONDS = {2_000: 1.0, 25_000: 10.0}
 """Targets for one core, by the size of the garment."""
+TARGET_RESIDUAL = 1.0
+"""The residual that the targets are for, in nodal weights."""
 EASE = (0.03, 0.04)
 """Extra cloth in girth and length, as a garment that was set up in Blender has."""
 JOINT, STEPS_FROM_REST = "elbow_L", 3
@@ -57,26 +62,39 @@ def measure_sample(outfit: Outfit, *, quick: bool) -> dict[str, Any]:
     wearer.walk(start)
     wearer.settle()
     shape = wearer.positions
-    profile = cProfile.Profile()
-    started = time.perf_counter()
-    with profile:
+
+    def simulate(tolerance: float) -> tuple[dict[str, Any], float, float]:
+        """Report of the sample, time to walk to it and time to settle [s]."""
+        started = time.perf_counter()
         wearer.begin(shape, start)
         for fraction in wearer.fractions(start, end):
             wearer.follow(Pose(end.matrices) if fraction == 1.0 else _between(outfit, grid, node, float(fraction)))
         walked = time.perf_counter()
-        [report] = wearer.settle()
-    seconds = time.perf_counter() - started
+        [report] = wearer.settle(tolerance)
+        return report, walked - started, time.perf_counter() - walked
+
+    simulate(settings.settle_tolerance)  # What is recorded once, and memory that is taken once.
+    weighed, *weighed_seconds = simulate(TARGET_RESIDUAL)
+    report, *seconds = simulate(settings.settle_tolerance)
+    profile = cProfile.Profile()
+    with profile:
+        _, *profiled_seconds = simulate(settings.settle_tolerance)
     return {
         "vertices": outfit.garment.vertex_count,
-        "seconds": seconds,
-        "walk_seconds": walked - started,
-        "settle_seconds": seconds - (walked - started),
+        "seconds": sum(seconds),
+        "walk_seconds": seconds[0],
+        "settle_seconds": seconds[1],
+        "weight_seconds": sum(weighed_seconds),
+        "weight_settle_seconds": weighed_seconds[1],
+        "weight_residual": weighed["residual"],
+        "weight_newton_iterations": weighed["iterations"],
         "rest_seconds": rest_seconds,
         "rest_residual": rest["residual"],
         "residual": report["residual"],
         "converged": report["converged"],
         "newton_iterations": report["iterations"],
         "linear_iterations": report["linear_iterations"],
+        "profiled_seconds": sum(profiled_seconds),
         "stage_seconds": stage_seconds(profile),
     }
 
@@ -118,12 +136,18 @@ def main() -> None:
         results.append(result)
     heads = [f"{result['vertices']} vertices" for result in results]
     rows = [["", *heads]]
-    for name, key in (("one sample", "seconds"), ("  walk to it", "walk_seconds"), ("  settle", "settle_seconds")):
+    for name, key in (
+        ("one sample", "seconds"),
+        ("  walk to it", "walk_seconds"),
+        ("  settle", "settle_seconds"),
+        ("one sample to 1 nodal weight", "weight_seconds"),
+        ("  settle", "weight_settle_seconds"),
+    ):
         rows.append([name, *(milliseconds(result[key]) for result in results)])
     for stage in STAGES:
-        shares = (result["stage_seconds"][stage] / result["seconds"] for result in results)
-        rows.append([f"  of it {stage}", *(f"{share:.0%}" for share in shares)])
-    for key in ("newton_iterations", "linear_iterations", "residual", "rest_residual"):
+        shares = (result["stage_seconds"][stage] / result["profiled_seconds"] for result in results)
+        rows.append([f"of the first {stage}", *(f"{share:.0%}" for share in shares)])
+    for key in ("newton_iterations", "linear_iterations", "residual", "weight_newton_iterations", "rest_residual"):
         rows.append([key.replace("_", " "), *(f"{result[key]:g}" for result in results)])
     rows.append(["rest pose", *(milliseconds(result["rest_seconds"]) for result in results)])
     rows.append(["a frame of Blender's Cloth", *(milliseconds(result["cloth_frame_seconds"]) for result in results)])
@@ -131,7 +155,9 @@ def main() -> None:
     report.table(f"{JOINT}, {STEPS_FROM_REST} nodes from rest, residuals in nodal weights", rows)
     for size, result in zip(SIZES, results, strict=False):
         if size in MOST_SECONDS:
-            report.target(f"seconds at {size} vertices", result["seconds"], MOST_SECONDS[size], at_least=False)
+            for what, key in (("1 nodal weight", "weight_seconds"), (f"{result['residual']:g}", "seconds")):
+                name = f"seconds to a residual of {what} at {size} vertices"
+                report.target(name, result[key], MOST_SECONDS[size], at_least=False)
     report.figures |= {"seconds": results[-1]["seconds"], "samples": results}
     report.finish()
     sys.stdout.flush()
