@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from .posed_surface import LIMB, PosedSurface, height_over_corner
+from .posed_surface import LIMB, PosedSurface, height_over_corner, interpolated, walk_downhill
 
 wp.set_module_options({"enable_backward": False})
 
@@ -97,15 +97,30 @@ def limb_triangle(surface: PosedSurface, grids: LimbGrids, limb: wp.int32, p: wp
 
 
 @wp.func
+def distance_downhill(surface: PosedSurface, p: wp.vec3, start: wp.int32) -> wp.float32:
+    """How far p is from where a walk from this triangle ends."""
+    face, w = walk_downhill(surface, p, start, -1)
+    return wp.length(p - interpolated(surface.points, surface.triangles[face], w))
+
+
+@wp.func
 def nearer_triangle(surface: PosedSurface, grids: LimbGrids, p: wp.vec3, start: wp.int32) -> wp.int32:
-    """Where a walk begins: the triangle under the vertex at rest, or that of its limb's cell now if it is nearer."""
+    """Where a walk begins: the triangle under the vertex at rest, or that of its limb's cell now if it is nearer.
+
+    Of a thin limb that is the other side at times. A triangle that the vertex is inside of gives way to one that it is
+    outside of, if the walk from that ends nearer.
+    """
     found = start
     if grids.extents.shape[0] > 0:
         under = surface.triangles[start]
         other = cell_triangle(grids, under[LIMB], p)
-        if other >= 0:
+        if other >= 0 and other != start:
             near = surface.points[under[0]] - p
             other_near = surface.points[surface.triangles[other][0]] - p
             if wp.length_sq(other_near) < wp.length_sq(near):
                 found = other
+                other = start
+            if height_over_corner(surface, found, p) < 0.0 and height_over_corner(surface, other, p) > 0.0:
+                if distance_downhill(surface, p, other) < distance_downhill(surface, p, found):
+                    found = other
     return found

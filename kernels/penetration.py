@@ -18,6 +18,10 @@ wp.set_module_options({"enable_backward": False})
 ASIDE = wp.constant(wp.vec2(-0.1, 0.3))
 # A vertex is moved out of another limb by at most this many times what the shortest way out would take.
 OVERSHOOT = wp.constant(3.0)
+# Heights of neighbours differ by at most this many times what the two are apart.
+UNLIKE = wp.constant(1.5)
+# A vertex is nearly outside where it lies at most this part as deep as elsewhere.
+SHALLOWER = wp.constant(0.25)
 # Vertices next to each other, in the order that they are dealt with, for which limbs near them are looked for at once.
 CLUSTER = wp.constant(16)
 # Farther than any point of the pose.
@@ -136,6 +140,28 @@ def asked_height(
     return asked
 
 
+@wp.func
+def lack_over(
+    surface: PosedSurface,
+    grids: LimbGrids,
+    limbs: wp.int32,
+    position: wp.vec3,
+    foot: wp.int32,
+    height: wp.float32,
+    normal: wp.vec3,
+    needed: wp.float32,
+    clearance: Clearance,
+    tolerance: wp.float32,
+) -> wp.float32:
+    """Push that a vertex needs over its foot [m], where these limbs are around."""
+    asked = needed
+    near = limbs & ~(1 << surface.triangles[foot][LIMB])
+    if near != 0:
+        skin = position - height * clearance.metre * normal
+        asked = asked_height(surface, grids, near, skin, normal, height, needed, clearance, tolerance)
+    return softened(asked - height, clearance.soft, clearance.deep)
+
+
 @wp.kernel
 def find_lacks(
     first: wp.int32,
@@ -189,15 +215,74 @@ def find_lacks(
             h = height[v]
             needed = needed_height(rest_height[v], clearance)
             if face[v] >= 0 and h < needed:
+                foot = face[v]
                 n = normal[v]
-                skin = positions[v] - h * clearance.metre * n
-                near = limbs & ~(1 << surface.triangles[face[v]][LIMB])
-                asked = needed
-                if near != 0:
-                    asked = asked_height(surface, grids, near, skin, n, h, needed, clearance, tolerance)
-                lack[v] = lack[v] * softened(asked - h, clearance.soft, clearance.deep)
+                lack[v] *= lack_over(surface, grids, limbs, positions[v], foot, h, n, needed, clearance, tolerance)
             else:
                 lack[v] = 0.0
+
+
+@wp.kernel
+def mend_feet(
+    first: wp.int32,
+    block_size: wp.int32,
+    neighbours: Neighbours,
+    positions: wp.array[wp.vec3],
+    start: wp.array[wp.int32],
+    rest_height: wp.array[wp.float32],
+    found_face: wp.array[wp.int32],
+    found_height: wp.array[wp.float32],
+    found_normal: wp.array[wp.vec3],
+    found_lack: wp.array[wp.float32],
+    surface: PosedSurface,
+    grids: LimbGrids,
+    clearance: Clearance,
+    tolerance: wp.float32,
+    # outputs
+    face: wp.array[wp.int32],
+    height: wp.array[wp.float32],
+    normal: wp.array[wp.vec3],
+    lack: wp.array[wp.float32],
+):
+    """The feet that :func:`find_lacks` found, or nearer ones that neighbours lead to.
+
+    A walk may end in a crook, on skin that goes away from the vertex again before it comes near. A neighbour whose
+    height is another by more than the two are apart (no distance from a body is) knows of better skin: if the vertex is
+    nearly outside there, then it does not lie deep inside.
+    """
+    block = (first + wp.tid()) * block_size
+    for v in range(block, wp.min(block + block_size, positions.shape[0])):
+        p = positions[v]
+        foot = found_face[v]
+        h = found_height[v]
+        n = found_normal[v]
+        needed_push = found_lack[v]
+        if foot >= 0 and h < 0.0:
+            needed = needed_height(rest_height[v], clearance)
+            nearest = -h
+            for k in range(neighbours.begin[v], neighbours.begin[v + 1]):
+                u = neighbours.all[k]
+                apart = wp.length(positions[u] - p) / clearance.metre
+                if found_height[u] - found_height[v] > UNLIKE * apart:
+                    begin = found_face[u]
+                    if begin < 0:
+                        begin = nearer_triangle(surface, grids, positions[u], start[u])
+                    other, other_height, other_normal, trust = find_foot(surface, p, begin, tolerance * clearance.metre)
+                    other_height /= clearance.metre
+                    if other_height > SHALLOWER * found_height[v] and wp.abs(other_height) < nearest:
+                        foot = other
+                        h = other_height
+                        n = other_normal
+                        nearest = wp.abs(h)
+                        skin = p - h * clearance.metre * n
+                        limbs = limbs_around(grids, skin, skin)
+                        needed_push = trust * lack_over(
+                            surface, grids, limbs, p, foot, h, n, needed, clearance, tolerance
+                        )
+        face[v] = foot
+        height[v] = h
+        normal[v] = n
+        lack[v] = needed_push
 
 
 # --- out of other limbs, and to its place -------------------------------------------------------------------------

@@ -24,7 +24,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ..kernels.cloth import body_surface
-from ..kernels.penetration import Clearance, find_lacks, heights_over_surface, push_between_limbs, push_out
+from ..kernels.penetration import Clearance, find_lacks, heights_over_surface, mend_feet, push_between_limbs, push_out
 from ..kernels.posed_surface import PosedSurface, vec_triangle
 from ..kernels.spreading import RING, Neighbours, believable_lacks, largest_around, mean_around, vec_ring
 from .cloth_contact import Limbs
@@ -234,9 +234,11 @@ class PushOut:
         start = wp.array(binding.start, dtype=wp.int32, device=self.device)
         needs = [start, wp.array(binding.height, dtype=wp.float32, device=self.device)]
         common = [self._body.struct, self._limbs.struct, self._clearance, FOOT_TOLERANCE]
+        walked = [room(wp.int32), room(wp.float32), room(wp.vec3), other]
         found = [room(wp.int32), self._height, room(wp.vec3)]
         stages = [
-            stage(find_lacks, [order, positions, *needs, *common], [*found, lack]),
+            stage(find_lacks, [order, positions, *needs, *common], walked),
+            stage(mend_feet, [neighbours, positions, *needs, *walked, *common], [*found, lack]),
             stage(believable_lacks, [positions, neighbours, lack, 1.0], [other]),
         ]
         lack, other = other, lack

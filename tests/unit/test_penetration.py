@@ -205,6 +205,33 @@ def test_a_flat_face_in_the_body_harms_nothing(worn):
     assert np.linalg.norm(out - worn.rest, axis=1).max() < 0.01
 
 
+def bent(points, turn, radius, middle):
+    """What stands along +z bent towards +x by an angle on an arc about this height."""
+    x, y, z = points.T
+    z = z - middle + 0.5 * turn * radius
+    angle = np.clip(z / radius, 0.0, turn)
+    before, after = np.minimum(z, 0.0), np.maximum(z - turn * radius, 0.0)
+    along_x = radius * (1.0 - np.cos(angle)) + after * np.sin(angle)
+    along_z = before + radius * np.sin(angle) + after * np.cos(angle)
+    return np.stack([along_x + x * np.cos(angle), y, along_z - x * np.sin(angle)], 1)
+
+
+@pytest.mark.parametrize("slid", [-0.06, -0.04, 0.04, 0.06])
+def test_nothing_outside_is_thrown_through_a_thin_limb_that_bends(slid):
+    """A sleeve 5 mm off a limb 30 mm thin, bent like an elbow, slid along it: what was the skin under it is far, and
+    where that was at rest now is the limb's other side.
+    """
+    thin = [0.3, 1.3, 1.0]
+    body, body_faces = tube(RADIUS, 91, 64, 0.6, 0.01)
+    rest, faces = tube(RADIUS + 0.017, 41, 64, 0.3)
+    body, rest = body * thin, (rest + [0.0, 0.0, 0.15]) * thin
+    limbs = Limbs(np.zeros(len(body_faces), np.int32), np.ones(len(rest), np.int32))
+    push = PushOut(bind_clearance(rest, faces, body, body_faces, limbs))
+    cloth = bent(rest + [0.0, 0.0, slid], 1.0, 0.1, 0.3)
+    out = cleared(push, bent(body, 1.0, 0.1, 0.3), cloth)
+    assert np.linalg.norm(out - cloth, axis=1).max() < 1e-3
+
+
 # --- two limbs ----------------------------------------------------------------------------------------------------
 
 
