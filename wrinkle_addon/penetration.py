@@ -8,10 +8,11 @@
 kept outside an inner one in the same way: the inner one is its body, without limbs.
 
 Four things differ from the paper's page. (a) A vertex is not tied to one body vertex: cloth slides, so it walks
-over the body to the foot below it. (b) It is pushed along the body's smooth normal, so that a push changes its height
-by just as much. (c) Pushes are spread over the garment before they are made: largest values around, then as many means,
-which are nowhere less than what is needed. Folds keep their shape and ride outwards, where eq 11 would cut them off.
-(d) Other limbs push as well, as the trunk does a sleeve; where two walls leave no room, they share what is lacking.
+over the body to the foot below it, or to a nearer one that its neighbours know of. (b) It is pushed along the body's
+smooth normal, so that a push changes its height by just as much. (c) Pushes are spread over the garment before they
+are made: largest values around, then as many means, which are nowhere less than what is needed. Folds keep their shape
+and ride outwards, where eq 11 would cut them off. (d) Other limbs push as well, as the trunk does a sleeve; where two
+walls leave no room, they share what is lacking.
 Nothing is blended again afterwards (eq 13): there is one mesh, not one an example.
 """
 
