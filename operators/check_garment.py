@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..wrinkle_addon.blender.handlers import suspended
-from ..wrinkle_addon.blender.inspection import found, inspect_garment
+from ..wrinkle_addon.blender.inspection import inspect_garment, remember_findings
 from ..wrinkle_addon.blender.properties import active_garment
 from .polls import has_garment
 
@@ -25,7 +25,7 @@ class WRINKLE_OT_check_garment(bpy.types.Operator):
         assert garment is not None
         with suspended():
             findings = inspect_garment(garment)
-        found[garment.session_uid] = findings
+        remember_findings(garment, findings)
         problems = [finding for finding in findings if finding.stops]
         if problems:
             self.report(

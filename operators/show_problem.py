@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..wrinkle_addon.blender.inspection import found, show_place
+from ..wrinkle_addon.blender.inspection import findings_of, show_place
 from ..wrinkle_addon.blender.properties import active_garment
-from .polls import has_garment
 
 
 class WRINKLE_OT_show_problem(bpy.types.Operator):
@@ -19,13 +18,9 @@ class WRINKLE_OT_show_problem(bpy.types.Operator):
     garment: bpy.props.StringProperty(options={"HIDDEN"}, description="Left out, the active one")
     index: bpy.props.IntProperty(name="Problem", min=0, options={"HIDDEN"}, description="Its place in the list")
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return bool(found) or has_garment(cls, context)
-
     def execute(self, context: bpy.types.Context) -> set[str]:
         garment = bpy.data.objects.get(self.garment) or active_garment(context)
-        findings = [] if garment is None else found.get(garment.session_uid, [])
+        findings = (None if garment is None else findings_of(garment)) or []
         if garment is None or self.index >= len(findings) or findings[self.index].place is None:
             self.report({"ERROR"}, "The list is out of date; check the garment again.")
             return {"CANCELLED"}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -16,7 +18,7 @@ from wrinkle_synthesis.wrinkle_addon.blender import file_process, flow_panel, pa
 from wrinkle_synthesis.wrinkle_addon.blender.bake_process import BakeProcess, BakeProgress
 from wrinkle_synthesis.wrinkle_addon.blender.file_process import BAKE, running
 from wrinkle_synthesis.wrinkle_addon.blender.guess import guess_character
-from wrinkle_synthesis.wrinkle_addon.blender.inspection import found
+from wrinkle_synthesis.wrinkle_addon.blender.inspection import Finding, findings_of
 from wrinkle_synthesis.wrinkle_addon.blender.plan_preview import preview_plan
 
 STEPS = ["Character", "Joints", "Plan", "Bake", "Play", "Coarse Layer", "Cache", "Export", "Report"]
@@ -97,11 +99,17 @@ def test_what_is_missing_for_a_guess_is_said(figure: None) -> None:
 
 def checked(arm: Arm) -> list[str]:
     assert bpy.ops.wrinkle.check_garment() == {"FINISHED"}
-    return [finding.text for finding in found[arm.sleeve.session_uid] if finding.stops]
+    return [finding.text for finding in listed(arm) if finding.stops]
+
+
+def listed(arm: Arm) -> list[Finding]:
+    findings = findings_of(arm.sleeve)
+    assert findings is not None
+    return findings
 
 
 def index_of(arm: Arm, words: str) -> int:
-    return next(i for i, each in enumerate(found[arm.sleeve.session_uid]) if words in each.text)
+    return next(i for i, each in enumerate(listed(arm)) if words in each.text)
 
 
 def test_a_sound_garment_has_no_problems(arm: Arm) -> None:
@@ -142,9 +150,51 @@ def test_the_button_selects_the_bones_of_a_joint(arm: Arm) -> None:
 
 
 def test_a_list_that_is_out_of_date_is_refused(arm: Arm) -> None:
+    arm.sleeve.vertex_groups["upper"].remove([3, 4])
     checked(arm)
-    with pytest.raises(RuntimeError, match="out of date"):
-        bpy.ops.wrinkle.show_problem(index=99)
+    index = index_of(arm, "no bone weights")
+    arm.sleeve.data.vertices.add(1)
+    for gone in (index, 99):
+        with pytest.raises(RuntimeError, match="out of date"):
+            bpy.ops.wrinkle.show_problem(index=gone)
+
+
+CHANGES: dict[str, Callable[[Arm], None]] = {
+    "the plan": lambda arm: setattr(arm.sleeve.wrinkles, "plan", "BUDGET"),
+    "a range": lambda arm: setattr(arm.sleeve.wrinkles.joints[0], "high", (0.5, 0.0, 0.0)),
+    "a joint switched off": lambda arm: setattr(arm.sleeve.wrinkles.joints[0], "enabled", False),
+    "the fabric": lambda arm: setattr(arm.sleeve.wrinkles, "density", 0.2),
+    "the body": lambda arm: setattr(arm.sleeve.wrinkles, "body", None),
+    "the coarse layer": lambda arm: setattr(arm.sleeve.wrinkles, "coarse_layer", "MESH"),
+    "the mesh": lambda arm: arm.sleeve.data.vertices.add(1),
+    "a bone": lambda arm: setattr(arm.armature.data.bones["lower"], "name", "other"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES.keys())
+def test_what_was_found_goes_with_what_it_was_found_on(arm: Arm, change: Callable[[Arm], None]) -> None:
+    checked(arm)
+    change(arm)
+    assert draw(panels.character.WRINKLE_PT_problems).labels == ["Not checked as it is now."]
+
+
+def test_what_was_found_before_a_bake_goes_with_it(arm: Arm, database: Path, tmp_path: Path) -> None:
+    baked = tmp_path / "baked.wrinkles"
+    arm.sleeve.wrinkles.database = str(baked)
+    checked(arm)
+    assert "not baked yet" in draw(panels.character.WRINKLE_PT_problems).text
+    shutil.copytree(database, baked)
+    assert draw(panels.character.WRINKLE_PT_problems).labels == ["Not checked as it is now."]
+
+
+def test_what_was_found_outlasts_playing_and_looking(arm: Arm) -> None:
+    arm.sleeve.vertex_groups["upper"].remove([3, 4])
+    checked(arm)
+    bpy.ops.wrinkle.show_problem(index=index_of(arm, "no bone weights"))
+    bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.context.scene.frame_set(7)
+    arm.sleeve.wrinkles.strength = 0.5
+    assert len(listed(arm))
 
 
 # --- joints and plan ----------------------------------------------------------------------------------------------

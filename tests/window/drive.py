@@ -98,7 +98,7 @@ def set_up(hand: Hand) -> Steps:
     yield from hand.click("wrinkle.take_ranges")
     assert 0.0 < elbow().high[0] - elbow().low[0] < 0.8 * extent
     yield from hand.click("wrinkle.check_garment")
-    assert not any(finding.stops for finding in inspection.found[garment().session_uid])
+    assert not any(finding.stops for finding in inspection.findings_of(garment()))
     yield from hand.shoot("checked")
 
 
@@ -134,8 +134,7 @@ def play(hand: Hand) -> Steps:
     bpy.context.scene.frame_set(14)
     yield 1.0
     assert wrinkles() > 1e-3 and not playback.status(garment()).error, playback.status(garment()).error
-    # What was found there was before the bake.
-    inspection.found.clear()
+    assert inspection.findings_of(garment()) is None, "What was found was before the bake."
     yield from hand.shoot("played")
     yield from hand.shoot("sidebar_played", sidebar=True)
     frames: list[int] = []
@@ -250,7 +249,8 @@ def later_steps(hand: Hand) -> Steps:
     yield from open_sidebar(hand)
     settings = garment().wrinkles
     settings.active_joint = settings.joints.find("elbow_L")
-    settings.ghost.angles[0] = elbow().high[0]
+    # The end that is bent: the other is at rest, which is no sample of the joint.
+    settings.ghost.angles[0] = max(elbow().low[0], elbow().high[0], key=abs)
     settings.ghost.shows = True
     settings.coarse_layer = "SIMULATION"
     yield from hand.shoot("later_steps")

@@ -37,8 +37,43 @@ class Finding:
     stops: bool = True
 
 
-found: dict[int, list[Finding]] = {}
-"""What was found last, by the session_uid of the garment."""
+_found: dict[int, tuple[tuple[object, ...], list[Finding]]] = {}
+"""What was found last and what it was made from, by the session_uid of the garment."""
+
+
+def remember_findings(garment: bpy.types.Object, findings: list[Finding]) -> None:
+    """Keep what was found for the panel, as long as it holds."""
+    _found[garment.session_uid] = _source_of(garment), findings
+
+
+def findings_of(garment: bpy.types.Object) -> list[Finding] | None:
+    """What was found last; None if nothing was, or if the garment is no longer what it was found on."""
+    source, findings = _found.get(garment.session_uid, (None, None))
+    return findings if source == _source_of(garment) else None
+
+
+def _source_of(garment: bpy.types.Object) -> tuple[object, ...]:
+    """What findings are made from, as far as a redraw of the panel has the time to look: settings, how many vertices
+    and which bones there are, and when the database was last baked."""
+    settings = garment.wrinkles
+    objects = garment, settings.body, settings.armature, settings.coarse
+    bones = () if settings.armature is None else tuple(settings.armature.data.bones.keys())
+    joints = [
+        (each.name, each.definition, tuple(each.low), tuple(each.high), each.step, each.enabled)
+        for each in settings.joints
+    ]
+    plan = settings.plan, settings.budget, settings.use_symmetry, settings.pin_group, settings.coarse_layer
+    counts = [len(ob.data.vertices) for ob in objects if ob is not None and ob.type == "MESH"]
+    uids = [None if ob is None else ob.session_uid for ob in objects]
+    return plan, settings.bake_settings(), settings.database, _baked_at(garment), uids, counts, bones, joints
+
+
+def _baked_at(garment: bpy.types.Object) -> int | None:
+    """When the garment's database was finished [ns]; None if it never was, or has no place yet."""
+    try:
+        return (database_folder(garment) / MANIFEST).stat().st_mtime_ns
+    except (OSError, ValueError):
+        return None
 
 
 def inspect_garment(garment: bpy.types.Object, folder: Path | None = None) -> list[Finding]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..guess import guess_character
-from ..inspection import Finding, found
+from ..inspection import Finding, findings_of
 from ..properties import active_garment
 from .layout import GarmentPanel, WrinklePanel, garment_of, say, settings_column, translated
 
@@ -71,15 +71,15 @@ class WRINKLE_PT_problems(GarmentPanel, bpy.types.Panel):
 
     def draw_header_preset(self, context: bpy.types.Context) -> None:
         garment, _ = garment_of(context)
-        if any(finding.stops for finding in found.get(garment.session_uid, ())):
+        if any(finding.stops for finding in findings_of(garment) or ()):
             self.layout.label(text="", icon="ERROR")
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, (garment, _) = self.layout, garment_of(context)
         layout.operator("wrinkle.check_garment", icon="VIEWZOOM")
-        findings = found.get(garment.session_uid)
+        findings = findings_of(garment)
         if findings is None:
-            say(context, layout, "Not checked yet.", icon="INFO")
+            say(context, layout, "Not checked as it is now.", icon="INFO")
             return
         if not any(finding.stops for finding in findings):
             layout.label(text="Ready to bake", icon="CHECKMARK")
