@@ -232,6 +232,23 @@ def test_the_samples_that_were_asked_for_are_those_that_are_told(shirt: bpy.type
     assert "8 and the rest pose" in text and "Mirrored 8" in " ".join(text.split())
 
 
+@pytest.mark.parametrize(("part", "name"), [("body", "The body"), ("shirt", "The garment 'shirt'")])
+def test_a_character_that_is_not_symmetric_is_told_why(figure: None, part: str, name: str) -> None:
+    mesh = bpy.data.objects[part].data
+    for vertex in mesh.vertices:
+        if vertex.co.x > 0.3:
+            vertex.co.y += 0.01
+    bpy.ops.wrinkle.setup_garment(garment="shirt", body="body", subdivide=0)
+    garment = bpy.context.object
+    text = draw(panels.plan.WRINKLE_PT_plan).text
+    assert f"Both sides are simulated. {name} is not symmetric" in text and "symmetrize it" in text
+    bpy.ops.wrinkle.check_garment()
+    (finding,) = [each for each in findings_of(garment) or () if "not symmetric" in each.text]
+    assert not finding.stops and finding.place is not None and len(finding.place.vertices)
+    garment.wrinkles.use_symmetry = False
+    assert "symmetric" not in draw(panels.plan.WRINKLE_PT_plan).text
+
+
 def test_a_joint_may_have_a_step_of_its_own(shirt: bpy.types.Object) -> None:
     joint = shirt.wrinkles.joints["elbow_L"]
     joint.low[0], joint.high[0] = 0.0, np.radians(90.0)

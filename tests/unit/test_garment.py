@@ -18,8 +18,9 @@ from wrinkle_synthesis.wrinkle_addon.garment import (
     vertex_normals,
     warp_directions,
 )
+from wrinkle_synthesis.wrinkle_addon.place import PlacedError
 from wrinkle_synthesis.wrinkle_addon.rig import pose_of_angles
-from wrinkle_synthesis.wrinkle_addon.symmetry import find_mirror
+from wrinkle_synthesis.wrinkle_addon.symmetry import find_mirror, require_mirror
 
 
 @pytest.fixture(scope="module")
@@ -118,13 +119,27 @@ def test_a_symmetric_character_is_its_own_mirror_image(character: Doll):
         assert np.abs(mirror.reflect(mine)[::-1].mean(0) - theirs.mean(0)).max() < 1e-3
 
 
-@pytest.mark.parametrize("part", ["garment", "fabric", "body", "rig"])
-def test_a_character_that_is_not_symmetric_is_seen(character: Doll, part: str):
-    garment, body, rig = character.garment, character.body, character.rig
+CAUSES = {
+    "garment": "The garment 'sleeve' is not symmetric: 2 of its vertices",
+    "faces": "The garment 'sleeve' is not symmetric: 2 of its triangles",
+    "fabric": "The fabric of the garment 'sleeve' is not symmetric",
+    "body": "The body is not symmetric: .* up to 1..0 mm",
+    "rig": "The rig is not symmetric at joints elbow_L and elbow_R: an axis is turned 1.8°",
+    "joint": "Joint elbow_R is sampled without elbow_L",
+}
+
+
+@pytest.mark.parametrize("part", CAUSES)
+def test_a_character_that_is_not_symmetric_is_told_where(character: Doll, part: str):
+    garment, body, rig, joints = character.garment, character.body, character.rig, list(character.joints)
     if part == "garment":
         positions = garment.positions.copy()
         positions[10] += 0.001
         garment = Garment(garment.name, positions, garment.faces, garment.weights, garment.pins)
+    elif part == "faces":
+        garment = Garment(garment.name, garment.positions, garment.faces[2:], garment.weights, garment.pins)
+    elif part == "joint":
+        joints = [joint for joint in joints if joint.name != "elbow_L"]
     elif part == "fabric":
         assert find_mirror(rig, character.joints, cut_along(garment, [1.0, 0.0, 0.0]), body) is not None
         garment = cut_along(garment, [0.8, 0.6, 0.0])
@@ -136,7 +151,9 @@ def test_a_character_that_is_not_symmetric_is_seen(character: Doll, part: str):
         rest = rig.rest.copy()
         rest[rig.index["forearm_L"], :3, 3] += 0.01
         rig = type(rig)(rig.names, rig.parents, rest, rig.lengths, rig.gravity)
-    assert find_mirror(rig, character.joints, garment, body) is None
+    assert find_mirror(rig, joints, garment, body) is None
+    with pytest.raises(PlacedError, match=CAUSES[part]):
+        require_mirror(rig, joints, garment, body)
 
 
 def cut_along(garment: Garment, warp: list[float]) -> Garment:

@@ -81,8 +81,8 @@ def mirror_joint(settings: GarmentSettings, name: str) -> None:
     signs = json.loads(settings.mirror_signs or "{}").get(name)
     if signs is None and joint.joint().dof > 1:
         raise ValueError(
-            f"It is not known how the angles of {name} mirror, as rig, body or garment are not symmetric; "
-            f"set the range of {partner.name} by hand."
+            f"It is not known how the angles of {name} mirror; set the range of {partner.name} by hand. "
+            f"{settings.asymmetry}".rstrip()
         )
     for axis, sign in enumerate(signs or [1.0]):
         low, high = sorted((sign * joint.low[axis], sign * joint.high[axis]))

@@ -15,6 +15,7 @@ from ..bake import BakeJob
 from ..database import MANIFEST, WrinkleDatabase
 from ..garment import bind_to_surface, check_body, check_fit, split_vertices, surface_problems
 from ..place import Part, Place, PlacedError
+from ..symmetry import require_mirror
 from .character import SamplingStage, check_objects, read_garment, read_mesh, rig_from_world, sampling_stage
 from .coarse_layer import NONE, doubt_of, match_coarse
 from .files import database_folder
@@ -100,6 +101,8 @@ def inspect_garment(garment: bpy.types.Object, folder: Path | None = None) -> li
             _check_extremes(stage, job)
             samples = len(job.plan.samples) + 1
             findings += _notes(f"{samples} samples of {job.garment.vertex_count} vertices would be baked.")
+            if settings.use_symmetry:
+                findings += _asymmetries(job)
             findings += _notes(_database_note(folder or database_folder(garment), garment, job))
     if len(split := split_vertices(positions, faces)):
         text = f"{len(split)} vertices of '{garment.name}' lie where others do and will come apart; merge by distance."
@@ -153,6 +156,15 @@ def _check_extremes(stage: SamplingStage, job: BakeJob) -> None:
                     f"The body falls apart when joint {sample.joint} is turned to the end of its range.",
                     Place(Part.JOINT, names=(sample.joint,)),
                 )
+
+
+def _asymmetries(job: BakeJob) -> list[Finding]:
+    """Why both sides are simulated, if they are."""
+    try:
+        require_mirror(job.rig, [grid.joint for grid in job.plan.grids], job.garment, job.body)
+    except PlacedError as error:
+        return [Finding(f"Both sides are simulated. {error}", error.place, stops=False)]
+    return []
 
 
 def _database_note(folder: Path, garment: bpy.types.Object, job: BakeJob) -> str:

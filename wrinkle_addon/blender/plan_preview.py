@@ -72,9 +72,9 @@ def _plan(asked: tuple[Any, ...], signs: str, budget: int) -> SamplePlan:
     return paper_plan(joints, mirror, {each[0]: each[4] for each in asked if each[4] > 0.0})
 
 
-def signs_text(mirror: Mirror | None) -> str:
-    """What a plan needs to know of a symmetric character, to be stored with a garment; empty if it is not symmetric."""
-    return "" if mirror is None else json.dumps({name: signs.tolist() for name, signs in mirror.signs.items()})
+def signs_text(mirror: Mirror) -> str:
+    """What a plan needs to know of a symmetric character, to be stored with a garment."""
+    return json.dumps({name: signs.tolist() for name, signs in mirror.signs.items()})
 
 
 def _mirror(joints: list[Joint], text: str) -> Mirror | None:

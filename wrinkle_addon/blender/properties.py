@@ -360,6 +360,9 @@ class GarmentSettings(bpy.types.PropertyGroup):
     mirror_signs: bpy.props.StringProperty(
         options={"HIDDEN"}, description="Factors of the angles of mirrored joints, if the character is symmetric; JSON"
     )
+    asymmetry: bpy.props.StringProperty(
+        options={"HIDDEN"}, description="A sentence on where the character is not symmetric; empty if it is"
+    )
     corrections: bpy.props.StringProperty(
         options={"HIDDEN"}, description="Versions of samples that were chosen in this file, which undo follows; JSON"
     )

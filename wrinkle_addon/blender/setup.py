@@ -24,7 +24,7 @@ from ..joints import JointSearch, find_joints
 from ..place import Part, Place, PlacedError
 from ..plan import SamplePlan, budget_plan, paper_plan
 from ..rig import Joint, Rig
-from ..symmetry import find_mirror, symmetric_limits
+from ..symmetry import find_mirror, require_mirror, symmetric_limits
 from .character import SamplingStage, apply, check_objects, read_garment, read_mesh, rig_from_world, sampling_stage
 from .plan_preview import signs_text
 from .removal import remember_garment
@@ -121,7 +121,10 @@ def setup_garment(
     for joint in used:
         settings.joints.add().store(joint)
     worn_garment = Garment(fine.name, worn, faces, weights, np.zeros(len(worn), np.float32))
-    settings.mirror_signs = signs_text(find_mirror(rig, used, worn_garment, body_mesh))
+    try:
+        settings.mirror_signs, settings.asymmetry = signs_text(require_mirror(rig, used, worn_garment, body_mesh)), ""
+    except PlacedError as error:
+        settings.mirror_signs, settings.asymmetry = "", str(error)
     if not settings.database:
         settings.database = f"//{bpy.path.clean_name(garment.name)}.wrinkles"
     split = len(split_vertices(positions, faces))

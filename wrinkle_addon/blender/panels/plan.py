@@ -43,7 +43,8 @@ class WRINKLE_PT_plan(GarmentPanel, bpy.types.Panel):
             say(context, layout, str(error), icon="ERROR")
         say_numbers(layout, numbers)
         if settings.use_symmetry and not settings.mirror_signs:
-            say(context, layout, "Rig, body or garment are not symmetric: both sides are simulated.", icon="INFO")
+            say(context, layout, "Both sides are simulated.", icon="INFO")
+            say(context, layout, settings.asymmetry or "Set the garment up again to see why.")
 
 
 class WRINKLE_PT_fabric(GarmentPanel, bpy.types.Panel):
