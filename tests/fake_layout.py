@@ -18,12 +18,14 @@ class FakeLayout:
     Attributes:
         labels, properties, operators: What was drawn, in order; operators by their identifiers.
         set_on: Properties that were set on the operators drawn, by identifier.
+        named: Words that were put in place of properties' own names.
     """
 
     labels: list[str] = field(default_factory=list)
     properties: list[str] = field(default_factory=list)
     operators: list[str] = field(default_factory=list)
     set_on: dict[str, SimpleNamespace] = field(default_factory=dict)
+    named: dict[str, str] = field(default_factory=dict)
 
     def _part(self, **options: Any) -> FakeLayout:
         return self
@@ -40,6 +42,8 @@ class FakeLayout:
         assert index < max(getattr(described, "array_length", 0), 1)
         assert described.description, f"{name} has no tooltip"
         self.properties.append(name)
+        if "text" in options:
+            self.named[name] = options["text"]
 
     def prop_search(self, data: Any, name: str, where: Any, collection: str, **options: Any) -> None:
         assert collection in where.bl_rna.properties

@@ -58,6 +58,12 @@ def test_every_panel_draws_before_anything_was_baked(arm: Arm, panel: type[bpy.t
     draw(panel)
 
 
+def test_lengths_show_their_unit_whatever_the_scenes_own_is(arm: Arm) -> None:
+    arm.sleeve.wrinkles.coarse_layer = "SIMULATION"
+    assert draw(panels.play.WRINKLE_PT_play).named["clearance"] == "Clearance (m)"
+    assert draw(panels.coarse.WRINKLE_PT_coarse).named["coarse_buffer"] == "Buffer (m)"
+
+
 def test_without_a_garment_there_is_the_first_step_alone() -> None:
     empty_scene()
     context = SidebarContext()

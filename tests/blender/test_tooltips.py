@@ -9,14 +9,13 @@ import bpy
 import pytest
 import wrinkle_synthesis
 from wrinkle_synthesis.operators import registration
+from wrinkle_synthesis.wrinkle_addon.blender.panels.layout import UNITS
 
 CLASSES = [cls for module in registration.MODULES for cls in module.classes]
 OPERATORS = [cls for cls in CLASSES if issubclass(cls, bpy.types.Operator)]
 GROUPS = [cls for cls in CLASSES if issubclass(cls, bpy.types.PropertyGroup | bpy.types.AddonPreferences)]
 PANELS = [cls for cls in CLASSES if issubclass(cls, bpy.types.Panel | bpy.types.UIList)]
 
-UNITS = ("m", "mm", "s", "1/s", "N/m", "N m", "kg/m^2")
-"""Named last in a tooltip; what Blender scales by the scene's own units would no longer be what is simulated."""
 PURE = {"strength", "friction", "speed", "offset"}
 """Numbers without a unit, and times in frames."""
 

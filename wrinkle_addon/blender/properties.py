@@ -277,7 +277,8 @@ class GarmentSettings(bpy.types.PropertyGroup):
         default=CoarseSettings().pre_roll,
         min=0.0,
         soft_max=2.0,
-        description="Time in the first pose before the motion begins, s",
+        subtype="TIME_ABSOLUTE",
+        description="Time in the first pose before the motion begins",
         options=set(),
         update=_played_anew,
     )
@@ -409,7 +410,7 @@ class GarmentSettings(bpy.types.PropertyGroup):
         name="Bending", default=Fabric().bending, min=1e-8, precision=7, description="Bending stiffness, N m"
     )
     density: bpy.props.FloatProperty(
-        name="Density", default=Fabric().density, min=1e-3, description="Mass per area, kg/m^2"
+        name="Density", default=Fabric().density, min=1e-3, description="Mass per area, kg/m²"
     )
     friction: bpy.props.FloatProperty(
         name="Friction", default=Fabric().friction, min=0.0, soft_max=1.0, description="Against the body"

@@ -7,7 +7,7 @@ import bpy
 from ..coarse_layer import NONE
 from ..coarse_scene import SIMULATION
 from ..file_process import SIMULATE, process_of
-from .layout import GarmentPanel, draw_process, garment_of, settings_column
+from .layout import GarmentPanel, draw_process, draw_settings, garment_of, settings_column
 
 
 class WRINKLE_PT_coarse(GarmentPanel, bpy.types.Panel):
@@ -25,10 +25,8 @@ class WRINKLE_PT_coarse(GarmentPanel, bpy.types.Panel):
             column.prop(settings, "follow", text="How Far")
         if settings.coarse_layer == SIMULATION:
             column.separator()
-            for name in ("coarse_cache", "coarse_order", "coarse_steps", "coarse_buffer", "coarse_damping"):
-                column.prop(settings, name)
-            for name in ("coarse_pre_roll", "coarse_proxy"):
-                column.prop(settings, name)
+            simulated = "coarse_buffer", "coarse_damping", "coarse_pre_roll", "coarse_proxy"
+            draw_settings(column, settings, "coarse_cache", "coarse_order", "coarse_steps", *simulated)
             process = process_of(garment, SIMULATE)
             if process is None:
                 layout.operator("wrinkle.simulate_coarse", icon="PHYSICS")

@@ -14,6 +14,9 @@ from ..properties import GarmentSettings, JointSettings, active_garment
 translated = bpy.app.translations.pgettext_iface
 """Labels that hold numbers are translated before they are filled in."""
 
+UNITS = ("m", "mm", "s", "1/s", "N/m", "N m", "kg/m²")
+"""Named last in a tooltip; what Blender scales by the scene's own units would no longer be what is simulated."""
+
 
 class WrinklePanel:
     """Where all our panels are."""
@@ -50,6 +53,17 @@ def settings_column(layout: bpy.types.UILayout, *, animated: bool = False) -> bp
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, animated
     return column
+
+
+def draw_settings(column: bpy.types.UILayout, settings: bpy.types.PropertyGroup, *names: str) -> None:
+    """Settings one below the other, each with the unit that its tooltip ends with."""
+    for name in names:
+        described = settings.bl_rna.properties[name]
+        unit = described.description.rpartition(", ")[2]
+        if unit in UNITS:
+            column.prop(settings, name, text=f"{translated(described.name)} ({unit})", translate=False)
+        else:
+            column.prop(settings, name)
 
 
 def say(

@@ -9,7 +9,7 @@ from ..plan_preview import preview_plan
 from ..preferences import device_name
 from ..presets import WRINKLE_PT_fabric_presets, WRINKLE_PT_plan_presets
 from ..properties import OWN_FABRIC
-from .layout import GarmentPanel, garment_of, say, say_numbers, settings_column, translated
+from .layout import GarmentPanel, draw_settings, garment_of, say, say_numbers, settings_column, translated
 
 
 class WRINKLE_PT_plan(GarmentPanel, bpy.types.Panel):
@@ -60,8 +60,7 @@ class WRINKLE_PT_fabric(GarmentPanel, bpy.types.Panel):
         garment, settings = garment_of(context)
         column = settings_column(self.layout)
         own = ("stretch", "bending", "density", "friction") if settings.fabric == OWN_FABRIC else ()
-        for name in ("fabric", *own, "ease_girth", "ease_length"):
-            column.prop(settings, name)
+        draw_settings(column, settings, "fabric", *own, "ease_girth", "ease_length")
         column.prop_search(settings, "pin_group", garment, "vertex_groups")
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from .. import playback
 from ..file_process import BAKE, process_of
-from .layout import GarmentPanel, garment_of, say, settings_column, translated
+from .layout import GarmentPanel, draw_settings, garment_of, say, settings_column, translated
 
 LEAST_SAID = 0.5
 """A joint that goes less than this beyond its samples is not worth a word [degrees]."""
@@ -33,11 +33,10 @@ class WRINKLE_PT_play(GarmentPanel, bpy.types.Panel):
             column.prop(joint, "strength", text=joint.name, translate=False)
         column.prop_search(settings, "mask", garment, "vertex_groups")
         column.prop(settings, "weights")
-        row = column.row(heading="Clear of Body")
-        row.prop(settings, "clear_of_body", text="")
-        clearance = row.row()
+        column.prop(settings, "clear_of_body")
+        clearance = column.column()
         clearance.active = settings.clear_of_body
-        clearance.prop(settings, "clearance", text="")
+        draw_settings(clearance, settings, "clearance")
         column.prop(settings, "worn_over")
         column.prop(settings, "viewport_detail")
         if settings.enabled:
