@@ -13,9 +13,9 @@ SHOTS, PICTURES = ROOT / "build" / "window", ROOT / "docs" / "images" / "panel"
 PANELS = ("Character", "Joints", "Plan", "Bake", "Play", "Coarse Layer", "Cache", "Export", "Report")
 CUTS = {
     "path": ("sidebar_played", "Character", "Report"),
-    "character": ("sidebar_played", "Character", "Character"),
+    "character": ("sidebar_checked", "Character", "Character"),
     "joints": ("sidebar_played", "Joints", "Joints"),
-    "plan": ("sidebar_played", "Plan", "Plan"),
+    "plan": ("sidebar_later_steps", "Plan", "Plan"),
     "bake": ("sidebar_baking", "Bake", "Bake"),
     "samples": ("sidebar_later_steps", "Bake", "Bake"),
     "play": ("sidebar_played", "Play", "Play"),
@@ -24,6 +24,13 @@ CUTS = {
     "report": ("sidebar_later_steps", "Report", "Report"),
 }
 """For each picture the screenshot that it is cut out of, its first panel and its last."""
+
+BOXES = {
+    "set_up": ("setup_dialog", (502, 144, 890, 326)),
+    "preferences": ("preferences", (177, 94, 1041, 592)),
+    "ghost": ("ghost", (60, 620, 750, 1120)),
+}
+"""For each other picture the screenshot of the whole window, and where it lies there: left, top, right, bottom."""
 
 GAP = 66.0
 """Between two panels there is nothing but the sidebar's ground, which is darker than this [of 255]."""
@@ -35,12 +42,22 @@ STRIP = 15
 
 def main() -> None:
     for picture, (name, first, last) in CUTS.items():
-        shot = Image.open(next(SHOTS.glob(f"*_{name}.png"))).convert("RGB")
+        shot = screenshot(name)
         rows = panel_rows(np.asarray(shot, np.float64)[:, LEFT + 2 : shot.width - RIGHT])
         if len(rows) < len(PANELS):
             sys.exit(f"panel_pictures: {name} shows {len(rows)} panels of {len(PANELS)}.")
         top, bottom = rows[PANELS.index(first)][0], rows[PANELS.index(last)][1]
-        shot.crop((LEFT, top, shot.width - RIGHT, bottom)).save(PICTURES / f"{picture}.png", optimize=True)
+        save(shot.crop((LEFT, top, shot.width - RIGHT, bottom)), picture)
+    for picture, (name, box) in BOXES.items():
+        save(screenshot(name).crop(box), picture)
+
+
+def screenshot(name: str) -> Image.Image:
+    return Image.open(next(SHOTS.glob(f"[0-9][0-9]_{name}.png"))).convert("RGB")
+
+
+def save(image: Image.Image, picture: str) -> None:
+    image.save(PICTURES / f"{picture}.png", optimize=True)
 
 
 def panel_rows(pixels: np.ndarray) -> list[tuple[int, int]]:

@@ -100,6 +100,7 @@ def set_up(hand: Hand) -> Steps:
     yield from hand.click("wrinkle.check_garment")
     assert not any(finding.stops for finding in inspection.findings_of(garment()))
     yield from hand.shoot("checked")
+    yield from hand.shoot("sidebar_checked", sidebar=True)
 
 
 def garment() -> bpy.types.Object | None:
@@ -241,7 +242,7 @@ def pixels(path: Path) -> np.ndarray:
 
 def later_steps(hand: Hand) -> Steps:
     """The steps that are closed at first, in another workspace: a 3D view keeps what was open in it."""
-    open_panels(("Bake", "Samples", "Coarse Layer", "Cache", "Export", "Report"))
+    open_panels(("Plan", "Fabric", "Bake", "Samples", "Coarse Layer", "Cache", "Export", "Report"))
     workspace = bpy.data.workspaces["Modeling"]
     workspace.object_mode = "OBJECT"
     hand.window.workspace = workspace
@@ -252,10 +253,24 @@ def later_steps(hand: Hand) -> Steps:
     # The end that is bent: the other is at rest, which is no sample of the joint.
     settings.ghost.angles[0] = max(elbow().low[0], elbow().high[0], key=abs)
     settings.ghost.shows = True
+    bpy.context.scene.frame_set(1)
+    yield from look_at(hand, "mixamorig:LeftForeArm")
+    yield from hand.shoot("ghost")
     settings.coarse_layer = "SIMULATION"
     yield from hand.shoot("later_steps")
     yield from hand.shoot("sidebar_later_steps", sidebar=True)
     settings.coarse_layer = "NONE"
+
+
+def look_at(hand: Hand, bone: str) -> Steps:
+    """From near, a little to the left of where the sidebar begins, nothing else in the way."""
+    bpy.context.scene.camera.hide_set(True)
+    armature = garment().wrinkles.armature
+    view = hand.area.spaces.active.region_3d
+    view.view_location = armature.matrix_world @ armature.pose.bones[bone].head
+    view.view_location.x += 0.15
+    view.view_distance = 1.3
+    yield 0.8
 
 
 def preferences(hand: Hand) -> Steps:
@@ -321,5 +336,5 @@ def begin() -> None:
 
 
 bpy.context.preferences.view.show_splash = False
-open_panels(("Character", "Check", "Joints", "Plan", "Bake", "Play"))
+open_panels(("Getting Ready", "Character", "Check", "Joints", "Plan", "Bake", "Play"))
 bpy.app.timers.register(begin, first_interval=2.0)
