@@ -28,7 +28,7 @@ CUTS = {
 BOXES = {
     "set_up": ("setup_dialog", (502, 144, 890, 326)),
     "preferences": ("preferences", (177, 94, 1041, 592)),
-    "ghost": ("ghost", (60, 620, 750, 1120)),
+    "ghost": ("ghost", (60, 640, 750, 1140)),
 }
 """For each other picture the screenshot of the whole window, and where it lies there: left, top, right, bottom."""
 

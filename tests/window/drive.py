@@ -263,12 +263,15 @@ def later_steps(hand: Hand) -> Steps:
 
 
 def look_at(hand: Hand, bone: str) -> Steps:
-    """From near, a little to the left of where the sidebar begins, nothing else in the way."""
+    """From above and near, beside the sidebar, nothing else in the way."""
     bpy.context.scene.camera.hide_set(True)
+    with bpy.context.temp_override(window=hand.window, area=hand.area, region=hand.region("WINDOW")):
+        bpy.ops.view3d.view_axis(type="TOP")
+    yield 0.8
     armature = garment().wrinkles.armature
     view = hand.area.spaces.active.region_3d
     view.view_location = armature.matrix_world @ armature.pose.bones[bone].head
-    view.view_location.x += 0.15
+    view.view_location.x += 0.2
     view.view_distance = 1.3
     yield 0.8
 
