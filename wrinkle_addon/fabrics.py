@@ -23,8 +23,8 @@ class Fabric:
 
     Attributes:
         stretch: Stiffness against stretching [N/m], for warp and weft alike or one for each.
-        poisson: How much a stretched strip narrows and a bent one curls across, from 0 up to 0.5; of warp and weft
-            the geometric mean.
+        poisson: How much a stretched strip narrows and a bent one curls across, from 0 up to 1, as yarns that come
+            straight crimp those across them; of warp and weft the geometric mean.
         shear: Stiffness against shearing [N/m]; None is that of a sheet that is alike in all directions. Woven cloth
             shears more easily.
         limit: Stretch of warp and weft past which they stiffen, as a share of their length. Denims give 4.7 to 5.7
@@ -66,8 +66,8 @@ class Fabric:
             value = getattr(self, name)
             if value is not None and not min(both(value)) > 0.0:
                 raise ValueError(f"The fabric's {name} must be greater than 0, not {value}.")
-        if not 0.0 <= self.poisson < 0.5:
-            raise ValueError(f"The fabric's Poisson ratio must lie in [0, 0.5), not be {self.poisson}.")
+        if not 0.0 <= self.poisson < 1.0:
+            raise ValueError(f"The fabric's Poisson ratio must lie in [0, 1), not be {self.poisson}.")
         if self.material not in get_args(Material):
             names = ", ".join(get_args(Material))
             raise ValueError(f"The fabric's material is one of {names}, not {self.material}.")
@@ -170,6 +170,59 @@ def _measured(
     )
 
 
+FULL_LOAD = 490.0
+"""Full load of a tensile test by Kawabata's system, 500 gf/cm [N/m]."""
+
+Ogden = Sequence[tuple[float, float]]
+"""(mu, alpha) of Clyde et al. 2017: a sum of mu (1 + E^2)^(alpha - 1) multiplies the stiffness at the Green strain E."""
+
+
+def _woven(
+    density: float, thickness: float, moduli: tuple[float, float, float, float], straightening: tuple[Ogden, Ogden]
+) -> Fabric:
+    """A fabric of Clyde et al. 2017, from their fit to its tensile, shear and bending tests.
+
+    It is stretched until its yarns come straight, and stiff from then on: the limit here is where a parabola comes
+    nearest to both curves up to the full load, which it reaches at the same strain as they do.
+
+    Args:
+        density: [kg/m^2].
+        thickness: [m].
+        moduli: (a11, a12, a22, G12) without strain [Pa], warp first; their shear is that of Exy and not of 2 Exy.
+        straightening: How the warp's and the weft's stress grows.
+    """
+    a11, a12, a22, g12 = moduli
+    poisson = a12 / math.sqrt(a11 * a22)
+    plane = 1.0 - poisson**2
+    limit = 0.01
+    start = limit + 0.5 * limit**2
+    stiffening = []
+    for modulus, curve in zip((a11, a22), straightening, strict=True):
+        stiffness = modulus * thickness
+        strain = _strain_under(FULL_LOAD, stiffness, curve)
+        stiffening.append(2.0 * (FULL_LOAD - stiffness * strain) / (stiffness * (strain - start) ** 2))
+    bending = thickness**3 / 12.0
+    return Fabric(
+        stretch=(round(plane * a11 * thickness, 1), round(plane * a22 * thickness, 1)),
+        poisson=round(poisson, 3),
+        shear=round(0.5 * g12 * thickness, 1),
+        limit=limit,
+        stiffening=(round(stiffening[0], 1), round(stiffening[1], 1)),
+        bending=(bending * a11, bending * a22),
+        density=density,
+    )
+
+
+def _strain_under(load: float, stiffness: float, curve: Ogden) -> float:
+    """Green strain of a fabric held at its sides under the load [N/m], by bisection."""
+    low, high = 0.0, 1.0
+    while high - low > 1e-9:
+        strain = 0.5 * (low + high)
+        stress = stiffness * strain * sum(mu * (1.0 + strain**2) ** (alpha - 1.0) for mu, alpha in curve)
+        low, high = (strain, high) if stress < load else (low, strain)
+    return high
+
+
 FABRICS: Mapping[str, Fabric] = {
     "standard": Fabric(),
     "thin": Fabric(stretch=30.0, stiffening=0.0, bending=1.0e-5, density=0.1),
@@ -185,16 +238,26 @@ FABRICS: Mapping[str, Fabric] = {
     "polyester": _measured(
         0.128, (2002.08618, 0.345588, 2027.48559, 19.189022), (2107.22753, 2150.47680), (51.713814e-6, 31.282822e-6)
     ),
+    "silk": _woven(
+        density=0.083,
+        thickness=0.239e-3,
+        moduli=(4.3e6, 4.971e6, 9.942e6, 0.57e6),
+        straightening=(((61.769, -2.23), (-60.769, -115.578)), ((13.46, -2.612), (-12.46, -195.533))),
+    ),
 }
 """Fabrics by name.
 
 standard: What this project's pictures are made of; softer to stretch than most fabrics, which settles sooner.
 thin: Xu et al. 2014, section 7 (S49).
-The others: Wang, O'Brien and Ramamoorthi 2011, "Data-driven elastic models for cloth: modeling and measurement", from
+cotton, denim, jersey, polyester: Wang, O'Brien and Ramamoorthi 2011, "Data-driven elastic models for cloth: modeling and measurement", from
 the files of their database: royal-target (trousers, 65 % cotton, 35 % polyester), 11oz-black-denim (jeans, 99 % cotton,
 1 % spandex), gray-interlock (T-shirt, 60 % cotton, 40 % polyester), white-dots-on-blk (tablecloth, 100 % polyester).
 Their friction was not measured; it is the standard's. Denim's bending, 1.6e-5 N m along the warp, agrees with denims
 measured by another method, 1.4e-5 to 2.2e-5 N m (Journal of Textiles 2016, 4614168, table 5).
+silk: Clyde, Teran and Tamstorf 2017, "Modeling and data-driven parameter estimation for woven fabrics", as the material
+file of NeuralClothSim has it (Kairanda et al. 2024). Its moduli are without a unit there. In MPa its cotton of 104 g/m^2
+is as stiff to stretch along the warp as the cotton above, 3936 and 4033 N/m, and silk bears the full load at strains of
+4.1 and 4.3 percent.
 """
 
 

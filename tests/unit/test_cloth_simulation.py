@@ -435,7 +435,7 @@ def test_self_contact_thickness_must_not_be_negative():
         {"shear": 0.0},
         {"bending": -1.0},
         {"density": 0.0},
-        {"poisson": 0.5},
+        {"poisson": 1.0},
         {"friction": -0.1},
     ],
 )
