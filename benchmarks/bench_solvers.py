@@ -28,6 +28,9 @@ REST = 0.001
 shows on no film, and a hundredth of what it does while the arm bends."""
 WINDOW = 5
 """Frames over which that is measured, from where it was to where it is: jitter that leads nowhere does not count."""
+RESIDUAL = sleeve_solvers.RESIDUAL
+"""The residual that all are compared at, in nodal weights: what settling goes down to. As force is mass times
+acceleration, that of solvers which keep theirs to themselves is read from three frames of what they show."""
 PATIENCE = 1.25
 """What does not rest so long after the motion is taken as it is then [s]."""
 QUICK_FRAMES = 6
@@ -69,22 +72,31 @@ class Run:
         seconds: Processor time up to each of them [s].
         end: The frame in which it came to rest, or the last one that tells.
         speed: How fast it still moves from there on [m/s].
+        residuals: What force is left on its vertices in each frame, in the root mean square [nodal weights].
     """
 
     shapes: FloatArray
     seconds: FloatArray
     end: int
     speed: float
+    residuals: FloatArray
 
     @property
     def rested(self) -> bool:
         return self.speed < REST
 
+    @property
+    def balanced(self) -> int | None:
+        """The frame from which on the residual stays below what all are compared at, if there is one."""
+        above = np.flatnonzero(self.residuals >= RESIDUAL)
+        first = int(above[-1]) + 1 if len(above) else 0
+        return first if first < len(self.residuals) else None
+
 
 def run(solver: Solver, case: Case, device: str, most: int) -> Run:
     """Let a solver carry a case to rest, but for no more than this many frames."""
     shapes, seconds = [], []
-    first = round(case.duration * FRAME_RATE) if solver.stepping else 0
+    first = round(case.duration * FRAME_RATE) if solver.stepping else -1
     speed = np.inf
     started = time.process_time()
     for number, positions in enumerate(solver.frames(case, device)):
@@ -94,7 +106,18 @@ def run(solver: Solver, case: Case, device: str, most: int) -> Run:
             speed = mean_distance(shapes[-1], shapes[-1 - WINDOW]) * FRAME_RATE / WINDOW
         if (number >= first + WINDOW and speed < REST) or number + 1 >= most:
             break
-    return Run(np.array(shapes), np.array(seconds), max(len(shapes) - 1 - WINDOW, 0), float(speed))
+    end = max(len(shapes) - 1 - WINDOW, 0)
+    return Run(np.array(shapes), np.array(seconds), end, float(speed), residuals_of(np.array(shapes), first))
+
+
+def residuals_of(shapes: FloatArray, first: int) -> FloatArray:
+    """Of every frame but the last the root mean square acceleration over gravity; up to the first it has no bound."""
+    force = np.diff(shapes, 2, axis=0) * FRAME_RATE**2 / sleeve.STANDARD_GRAVITY
+    residuals = np.sqrt((force**2).sum(2).mean(1))
+    # The first frame is that of a solver which has come to rest by then.
+    residuals = np.concatenate([residuals[:1], residuals])
+    residuals[: first + 1] = np.inf
+    return residuals
 
 
 def mean_distance(shape: FloatArray, other: FloatArray) -> float:
@@ -138,6 +161,8 @@ def report_runs(runs: Mapping[str, Run], case: Case, report: Report) -> None:
         cells = {
             "time to rest": milliseconds(took) if one.rested else f"not in {took:.0f} s",
             "of ours": times(took / ours.seconds[ours.end]),
+            f"time to {RESIDUAL} nodal weights": f"not in {one.seconds[-1]:.0f} s",
+            "of ours ": "",
             "simulated": "" if own else f"{(end + 1) / FRAME_RATE:.2f} s",
             "still moving": f"{1e3 * one.speed:.2g} mm/s",
             "simulated in our time": "" if own else f"{reached / FRAME_RATE:.2f} s",
@@ -153,6 +178,11 @@ def report_runs(runs: Mapping[str, Run], case: Case, report: Report) -> None:
             "vertices in the body": f"{measured.inside_body}",
             "self-intersections": f"{measured.self_intersections}",
         }
+        if one.balanced is not None and ours.balanced is not None:
+            balanced = one.seconds[one.balanced]
+            cells[f"time to {RESIDUAL} nodal weights"] = milliseconds(balanced)
+            cells["of ours "] = times(balanced / ours.seconds[ours.balanced])
+            report.figures[f"{key}_balanced_seconds"] = balanced
         for name, cell in cells.items():
             rows.setdefault(name, [name]).append(cell)
         report.figures |= {f"{key}_{name}": value for name, value in asdict(measured).items()}

@@ -174,7 +174,7 @@ FULL_LOAD = 490.0
 """Full load of a tensile test by Kawabata's system, 500 gf/cm [N/m]."""
 
 Ogden = Sequence[tuple[float, float]]
-"""(mu, alpha) of Clyde et al. 2017: a sum of mu (1 + E^2)^(alpha - 1) multiplies the stiffness at the Green strain E."""
+"""(mu, alpha) of Clyde et al. 2017: the sum of mu (1 + E^2)^(alpha - 1) multiplies stiffness at the Green strain E."""
 
 
 def _woven(
@@ -249,15 +249,16 @@ FABRICS: Mapping[str, Fabric] = {
 
 standard: What this project's pictures are made of; softer to stretch than most fabrics, which settles sooner.
 thin: Xu et al. 2014, section 7 (S49).
-cotton, denim, jersey, polyester: Wang, O'Brien and Ramamoorthi 2011, "Data-driven elastic models for cloth: modeling and measurement", from
-the files of their database: royal-target (trousers, 65 % cotton, 35 % polyester), 11oz-black-denim (jeans, 99 % cotton,
-1 % spandex), gray-interlock (T-shirt, 60 % cotton, 40 % polyester), white-dots-on-blk (tablecloth, 100 % polyester).
-Their friction was not measured; it is the standard's. Denim's bending, 1.6e-5 N m along the warp, agrees with denims
-measured by another method, 1.4e-5 to 2.2e-5 N m (Journal of Textiles 2016, 4614168, table 5).
+cotton, denim, jersey, polyester: Wang, O'Brien and Ramamoorthi 2011, "Data-driven elastic models for cloth: modeling
+and measurement", from the files of their database: royal-target (trousers, 65 % cotton, 35 % polyester),
+11oz-black-denim (jeans, 99 % cotton, 1 % spandex), gray-interlock (T-shirt, 60 % cotton, 40 % polyester),
+white-dots-on-blk (tablecloth, 100 % polyester). Denim's bending, 1.6e-5 N m along the warp, agrees with denims measured
+by another method, 1.4e-5 to 2.2e-5 N m (Journal of Textiles 2016, 4614168, table 5).
 silk: Clyde, Teran and Tamstorf 2017, "Modeling and data-driven parameter estimation for woven fabrics", as the material
-file of NeuralClothSim has it (Kairanda et al. 2024). Its moduli are without a unit there. In MPa its cotton of 104 g/m^2
-is as stiff to stretch along the warp as the cotton above, 3936 and 4033 N/m, and silk bears the full load at strains of
-4.1 and 4.3 percent.
+file of NeuralClothSim has it (Kairanda et al. 2024). Its moduli are without a unit there. In MPa its cotton is as stiff
+to stretch along the warp as the cotton above, 3936 and 4033 N/m, and silk bears the full load at strains of 4.1 and 4.3
+percent.
+Friction was measured of none of them; it is the standard's.
 """
 
 
