@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import bpy
@@ -148,6 +148,67 @@ def test_a_surface_deform_rig_carries_the_wrinkles(arm: Arm) -> None:
     before = shown(arm)
     blow(target, y=0.03)
     assert np.abs((shown(arm) - before).mean(0) - [0.0, 0.03, 0.0]).max() < 1e-3
+
+
+def move_along(coarse: bpy.types.Object) -> None:
+    """Rise by 5 cm over eleven frames."""
+    modifier = blow(coarse)
+    modifier.strength = 0.0
+    modifier.keyframe_insert("strength", frame=1)
+    modifier.strength = 0.05
+    modifier.keyframe_insert("strength", frame=11)
+
+
+def follows_in_every_frame(arm: Arm, start: np.ndarray, to: Mapping[int, np.ndarray]) -> bool:
+    """Whether the garment moves from its start as the coarse mesh has moved by each frame."""
+    moved = {}
+    for frame in to:
+        bpy.context.scene.frame_set(frame)
+        moved[frame] = (shown(arm) - start).mean(0)
+    return all(np.abs(moved[frame] - offset).max() < 2e-3 for frame, offset in to.items())
+
+
+RISE = {1: np.zeros(3), 6: np.array([0.0, 0.0, 0.025]), 11: np.array([0.0, 0.0, 0.05])}
+
+
+def test_an_alembic_cache_carries_the_wrinkles(arm: Arm, tmp_path: Path) -> None:
+    start = shown(arm)
+    coarse = make_coarse(arm)
+    move_along(coarse)
+    coarse.hide_viewport = coarse.hide_render = False
+    bpy.ops.object.select_all(action="DESELECT")
+    coarse.select_set(True)
+    path = str(tmp_path / "coarse.abc")
+    bpy.ops.wm.alembic_export(
+        filepath=path, start=1, end=11, selected=True, export_hair=False, export_particles=False, as_background_job=False
+    )
+    bpy.data.objects.remove(coarse)
+    bpy.ops.wm.alembic_import(filepath=path, as_background_job=False)
+    cache = bpy.context.selected_objects[0]
+    assert [modifier.type for modifier in cache.modifiers] == ["MESH_SEQUENCE_CACHE"]
+    arm.sleeve.wrinkles.coarse = cache
+    assert follows_in_every_frame(arm, start, RISE)
+
+
+def test_a_linked_mesh_carries_the_wrinkles(arm: Arm, tmp_path: Path) -> None:
+    """Of another file, and the same overridden to stand elsewhere."""
+    start = shown(arm)
+    coarse = make_coarse(arm)
+    coarse.modifiers.clear()
+    move_along(coarse)
+    path = str(tmp_path / "coarse.blend")
+    bpy.data.libraries.write(path, {coarse})
+    bpy.data.objects.remove(coarse)
+    with bpy.data.libraries.load(path, link=True) as (there, here):
+        here.objects = list(there.objects)
+    linked = next(ob for ob in here.objects if ob.type == "MESH")
+    bpy.context.scene.collection.objects.link(linked)
+    arm.sleeve.wrinkles.coarse = linked
+    assert follows_in_every_frame(arm, start, RISE)
+    override = linked.override_create(remap_local_usages=True)
+    override.location.x += 0.03
+    assert arm.sleeve.wrinkles.coarse == override
+    assert follows_in_every_frame(arm, start, {frame: rise + [0.03, 0.0, 0.0] for frame, rise in RISE.items()})
 
 
 def test_the_coarse_mesh_may_stand_elsewhere_in_its_own_space(arm: Arm) -> None:
