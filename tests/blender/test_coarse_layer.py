@@ -179,9 +179,7 @@ def test_an_alembic_cache_carries_the_wrinkles(arm: Arm, tmp_path: Path) -> None
     bpy.ops.object.select_all(action="DESELECT")
     coarse.select_set(True)
     path = str(tmp_path / "coarse.abc")
-    bpy.ops.wm.alembic_export(
-        filepath=path, start=1, end=11, selected=True, export_hair=False, export_particles=False, as_background_job=False
-    )
+    bpy.ops.wm.alembic_export(filepath=path, start=1, end=11, selected=True, as_background_job=False)
     bpy.data.objects.remove(coarse)
     bpy.ops.wm.alembic_import(filepath=path, as_background_job=False)
     cache = bpy.context.selected_objects[0]
