@@ -28,7 +28,7 @@ class BehindWindow:
 
     def start(self, context: bpy.types.Context, garment: bpy.types.Object, process: FileProcess) -> set[str]:
         """Go on in the window while the process works."""
-        self._process, self._garment = process, garment.session_uid
+        self._process, self._garment, self._said = process, garment.session_uid, None
         running[self._garment] = process
         self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
         context.window_manager.modal_handler_add(self)
@@ -53,8 +53,7 @@ class BehindWindow:
             return {"PASS_THROUGH"}
         try:
             if self._process.poll():
-                context.workspace.status_text_set(_status(self._process))
-                _redraw(context)
+                self._say(context, _status(self._process))
                 return {"PASS_THROUGH"}
             if (answer := self._outcome(context)) == {"RUNNING_MODAL"}:
                 return answer
@@ -65,6 +64,13 @@ class BehindWindow:
         if answer == {"CANCELLED"}:
             self.dropped(context)
         return answer
+
+    def _say(self, context: bpy.types.Context, text: str) -> None:
+        """Show how far it is, if that is news: drawing takes time from what works behind the window."""
+        if (context.workspace.name, text) != self._said:
+            self._said = context.workspace.name, text
+            context.workspace.status_text_set(text)
+            _redraw(context)
 
     def _outcome(self, context: bpy.types.Context) -> set[str]:
         """Of a process that has ended."""
@@ -115,7 +121,7 @@ def _status(process: FileProcess) -> str:
 
 
 def _redraw(context: bpy.types.Context) -> None:
-    # The sidebars alone: drawing the scene anew with every tick takes time from what works behind the window.
+    # The sidebars alone, not the scene.
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":

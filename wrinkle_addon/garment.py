@@ -15,7 +15,7 @@ from ..kernels.surface import closest_surface_points
 from .cloth_model import FloatArray, IntArray
 from .place import Part, Place, PlacedError
 from .rig import Joint, Rig
-from .topology import group
+from .topology import border_edges, distinct_pairs, mesh_edges, row_starts
 
 INFLUENCES = 6
 """Bones that carry a garment vertex, at most."""
@@ -224,8 +224,8 @@ def surface_problems(name: str, positions: FloatArray, faces: IntArray) -> Itera
             "delete loose geometry.",
             Place.of_vertices(Part.GARMENT, ~used),
         )
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, counts = np.unique(edges, axis=0, return_counts=True)
+    edges, edge_of_side = mesh_edges(faces)
+    counts = np.bincount(edge_of_side.ravel())
     if (counts > 2).any():
         yield PlacedError(
             f"The garment '{name}' has {int((counts > 2).sum())} edges with more than two faces; "
@@ -245,9 +245,7 @@ def surface_problems(name: str, positions: FloatArray, faces: IntArray) -> Itera
 
 def split_vertices(positions: FloatArray, faces: IntArray) -> IntArray:
     """Vertices on open edges that lie where another one lies: there the mesh only looks sewn, and will come apart."""
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, counts = np.unique(edges, axis=0, return_counts=True)
-    open_vertices = np.unique(edges[counts == 1])
+    open_vertices = np.unique(border_edges(faces))
     rounded = np.round(positions[open_vertices] * 1e6)
     _, place, there = np.unique(rounded, axis=0, return_inverse=True, return_counts=True)
     return open_vertices[there[place.ravel()] > 1]
@@ -317,6 +315,23 @@ class SurfaceBinding:
 
 def bind_to_surface(points: FloatArray, positions: FloatArray, faces: IntArray) -> SurfaceBinding:
     """Closest points of a triangle mesh; the sign of the distance comes from its interpolated vertex normals."""
+    face, weights, distance = _closest_points(points, positions, faces)
+    corners = faces[face]
+    closest = np.einsum("pc,pcd->pd", weights, positions[corners])
+    normals = np.einsum("pc,pcd->pd", weights, vertex_normals(positions, faces)[corners])
+    behind = ((points - closest) * normals).sum(1) < 0.0
+    return SurfaceBinding(face, weights, np.where(behind, -1.0, 1.0).astype(np.float32) * distance)
+
+
+def distances_to_surface(points: FloatArray, positions: FloatArray, faces: IntArray) -> NDArray[np.float32]:
+    """How far points are from a triangle mesh [m], on whichever side, shape [point_count]."""
+    return _closest_points(points, positions, faces)[2]
+
+
+def _closest_points(
+    points: FloatArray, positions: FloatArray, faces: IntArray
+) -> tuple[IntArray, NDArray[np.float32], NDArray[np.float32]]:
+    """Triangles, barycentric weights of their corners, and distances [m]."""
     mesh = wp.Mesh(
         points=wp.array(positions.astype(np.float32), dtype=wp.vec3, device="cpu"),
         indices=wp.array(np.ascontiguousarray(faces).ravel().astype(np.int32), dtype=wp.int32, device="cpu"),
@@ -329,12 +344,7 @@ def bind_to_surface(points: FloatArray, positions: FloatArray, faces: IntArray) 
     wp.launch(
         closest_surface_points, dim=count, inputs=[queried, mesh.id], outputs=[face, weights, distance], device="cpu"
     )
-    face_array, weight_array = face.numpy(), weights.numpy()
-    corners = faces[face_array]
-    closest = np.einsum("pc,pcd->pd", weight_array, positions[corners])
-    normals = np.einsum("pc,pcd->pd", weight_array, vertex_normals(positions, faces)[corners])
-    behind = ((points - closest) * normals).sum(1) < 0.0
-    return SurfaceBinding(face_array, weight_array, np.where(behind, -1.0, 1.0).astype(np.float32) * distance.numpy())
+    return face.numpy(), weights.numpy(), distance.numpy()
 
 
 def skin_garment(positions: FloatArray, faces: IntArray, body: Body, *, smoothing: int = 20) -> SkinWeights:
@@ -372,9 +382,8 @@ def neighbour_mean(values: FloatArray, faces: IntArray) -> FloatArray:
 def vertex_neighbours(faces: IntArray, vertex_count: int) -> tuple[IntArray, IntArray]:
     """Neighbours of each vertex along edges: (start, neighbours), ascending. Every vertex must belong to a face."""
     directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    both = np.unique(np.concatenate([directed, directed[:, ::-1]]), axis=0)
-    start, _ = group(both[:, 0], vertex_count)
-    return start, both[:, 1].astype(np.int32)
+    both, _ = distinct_pairs(*np.concatenate([directed, directed[:, ::-1]]).T)
+    return row_starts(both[:, 0], vertex_count), both[:, 1]
 
 
 # --- regions ------------------------------------------------------------------------------------------------------
@@ -437,6 +446,6 @@ def distances_to_segments(positions: FloatArray, faces: IntArray, regions: Regio
     for segment in range(len(regions.segments)):
         inside = (regions.vertex_segment[faces] == segment).all(1)
         if inside.any():
-            distances[:, segment] = np.abs(bind_to_surface(positions, positions, faces[inside]).distance)
+            distances[:, segment] = distances_to_surface(positions, positions, faces[inside])
         distances[regions.vertex_segment == segment, segment] = 0.0
     return distances

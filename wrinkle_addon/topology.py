@@ -50,14 +50,23 @@ def connected_parts(pairs: NDArray[np.integer], count: int) -> NDArray[np.int64]
 
 def group(owners: NDArray[np.integer], owner_count: int) -> tuple[IntArray, IntArray]:
     """Lists of entries by owner: (start, entries) with entries[start[i] : start[i + 1]] owned by i, ascending."""
-    return row_starts(np.sort(owners), owner_count), np.argsort(owners, kind="stable").astype(np.int32)
+    start = np.concatenate([[0], np.cumsum(np.bincount(owners, minlength=owner_count))])
+    return start.astype(np.int32), np.argsort(owners, kind="stable").astype(np.int32)
+
+
+def distinct_pairs(first: NDArray[np.integer], second: NDArray[np.integer]) -> tuple[IntArray, IntArray]:
+    """Every pair of numbers once, ascending, shape [distinct_count, 2], and which of them each pair is, [count]."""
+    # As one number each: NumPy sorts those many times faster than rows.
+    stride = int(second.max(initial=0)) + 1
+    keys, which = np.unique(first.astype(np.int64) * stride + second, return_inverse=True)
+    return np.stack(np.divmod(keys, stride), 1).astype(np.int32), which.astype(np.int32)
 
 
 def mesh_edges(faces: IntArray) -> tuple[IntArray, IntArray]:
     """Every edge once, shape [edge_count, 2], and the edge of each triangle's sides 01, 12, 20, [triangle_count, 3]."""
-    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, edge_of_side = np.unique(sides, axis=0, return_inverse=True)
-    return edges.astype(np.int32), edge_of_side.reshape(-1, 3).astype(np.int32)
+    sides = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    edges, edge_of_side = distinct_pairs(sides.min(1), sides.max(1))
+    return edges, edge_of_side.reshape(-1, 3)
 
 
 def row_starts(sorted_rows: NDArray[np.integer], row_count: int) -> IntArray:

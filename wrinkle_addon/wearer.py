@@ -14,7 +14,7 @@ from .cloth_contact import Limbs
 from .cloth_model import Fabric, build_cloth_model
 from .cloth_state import SettleReport
 from .divergence import place_of
-from .garment import Body, Garment, bind_to_surface, find_regions
+from .garment import Body, Garment, distances_to_surface, find_regions
 from .joints import find_joints
 from .rig import FloatArray, Pose, Rig, pose_between
 from .surface import BodyVolume, SurfaceMeasures
@@ -270,8 +270,7 @@ def worn_limbs(rig: Rig, garment: Garment, body: Body) -> Limbs:
     for limb in range(count):
         triangles = body.faces[of_triangles == limb]
         if len(triangles):
-            distance = np.abs(bind_to_surface(garment.positions, body.positions, triangles).distance)
-            worn[:, limb] |= distance < SLIDE
+            worn[:, limb] |= distances_to_surface(garment.positions, body.positions, triangles) < SLIDE
     return Limbs(of_triangles.astype(np.int32), (worn @ (1 << np.arange(count))).astype(np.int32))
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 
 import bpy
 import numpy as np
@@ -15,6 +17,7 @@ from ..penetration import ClearanceBinding, PushOut, bind_clearance
 from ..rig import FloatArray, Pose, Rig
 from ..wearer import worn_limbs
 from .character import apply, read_mesh, read_weights
+from .made_behind import begin, take
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +41,20 @@ class Worn:
         return Worn(database.header.rig, database.header.garment, database.rest)
 
 
+@dataclass(frozen=True, eq=False)
+class _Bound:
+    """A garment bound to a body: that body at rest, how bones move it, and the push out of it."""
+
+    rest: Body
+    skin: SkinWeights
+    push: PushOut
+
+    @staticmethod
+    def of(worn: Worn, rest: Body, device: str) -> _Bound:
+        skin = SkinWeights.from_dense(_carried(rest.weights))
+        return _Bound(rest, skin, PushOut(bind_to_body(worn, rest), device=device))
+
+
 class BodyClearance:
     """One garment's push out of its body. What keeps it from pushing is told, and the garment plays as it is.
 
@@ -56,10 +73,9 @@ class BodyClearance:
     def __init__(self, worn: Worn, device: str):
         self._worn = worn
         self._device = device
-        # The body that the garment was bound to, as glanced at, and why it could not be.
-        self._bound: tuple[object, str] | None = None
-        self._rest: Body | None = None
-        self._skin: SkinWeights | None = None
+        # The body that the garment is bound to, as glanced at, and what came of it, or why nothing did.
+        self._glance: object = None
+        self._bound: Future[_Bound] | str = ""
         self._push: PushOut | None = None
         self.note = ""
 
@@ -80,6 +96,9 @@ class BodyClearance:
             pose: Of the armature in this frame.
             placement: Matrix from rig space [m] to the garment's object space, shape [4, 4].
             wanted: Whether the garment is to be kept clear at all.
+
+        Raises:
+            NotReady: If the garment is still being bound to it, in a window.
         """
         self.note = ""
         if not wanted:
@@ -94,8 +113,8 @@ class BodyClearance:
         self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph, pose: Pose, placement: FloatArray
     ) -> NDArray[np.float32]:
         body = check_body_object(garment.wrinkles.body)
-        self._bind(garment, depsgraph, placement)
-        assert self._push is not None and self._rest is not None and self._skin is not None
+        bound = self._bind(garment, depsgraph, placement)
+        self._push = bound.push
         self._push.set_distance(garment.wrinkles.clearance)
         shown = _shown_body(body, depsgraph)
         if shown is not None and len(shown.data.vertices) == len(body.data.vertices):
@@ -108,26 +127,26 @@ class BodyClearance:
             raise ValueError(f"The body '{body.name}' {how}.")
         self.note = f"The body '{body.name}' {how}; the garment '{garment.name}' is kept clear of its plain skinning."
         deformations = pose.deformations(self._worn.rig)
-        moved = self._skin.carry(placement @ deformations, self._rest.positions)
+        moved = bound.skin.carry(placement @ deformations, bound.rest.positions)
         return moved.astype(np.float32)
 
-    def _bind(self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph, placement: FloatArray) -> None:
+    def _bind(self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph, placement: FloatArray) -> _Bound:
         """See to it that the garment is bound to this body; once for each, as it takes some tenths of a second."""
         body = garment.wrinkles.body
         glance = body.session_uid, body.data.session_uid, len(body.data.vertices)
-        if self._bound is None or self._bound[0] != glance:
+        if self._glance != glance:
+            self._glance = glance
             # As placed in this frame, like the placement: a render does not move the originals.
             worn, skin = (ob.evaluated_get(depsgraph).matrix_world for ob in (garment, body))
             to_garment = np.array(worn.inverted_safe() @ skin, np.float64)
             try:
-                self._rest = rest_body(body, self._worn.rig, np.linalg.inv(placement) @ to_garment)
-                self._skin = SkinWeights.from_dense(_carried(self._rest.weights))
-                self._push = PushOut(bind_to_body(self._worn, self._rest), device=self._device)
-                self._bound = glance, ""
+                rest = rest_body(body, self._worn.rig, np.linalg.inv(placement) @ to_garment)
+                self._bound = begin(partial(_Bound.of, self._worn, rest, self._device), depsgraph)
             except ValueError as error:
-                self._bound = glance, str(error)
-        if self._bound[1]:
-            raise ValueError(self._bound[1])
+                self._bound = str(error)
+        if isinstance(self._bound, str):
+            raise ValueError(self._bound)
+        return take(self._bound, depsgraph)
 
     def clear(self, body: NDArray[np.float32], positions: wp.array, placement: FloatArray) -> None:
         """Push a garment out of what :meth:`read` gave, in place.

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 
 import bpy
 import numpy as np
@@ -20,10 +22,11 @@ from ..coarse_cache import CoarseCache, NotSimulated
 from ..correspondence import Correspondence, find_correspondence
 from ..database import WrinkleDatabase
 from ..joint_wrinkles import HostArray, JointEvaluator
-from ..rig import FloatArray, Pose
-from .character import MeshArrays, apply, read_mesh
+from ..rig import FloatArray, IntArray, Pose
+from .character import apply, read_mesh
 from .coarse_playing import PlayedCache, played_cache
 from .coarse_scene import SIMULATION, cache_folder
+from .made_behind import begin, take
 from .node_group import add_modifier, find_modifier, get_input, set_input
 
 NONE, MESH = "NONE", "MESH"
@@ -94,11 +97,41 @@ def _refuse_loops(garment: bpy.types.Object, coarse: bpy.types.Object) -> None:
         )
 
 
-def rest_shapes(garment: bpy.types.Object, coarse: bpy.types.Object) -> tuple[MeshArrays, MeshArrays]:
-    """The garment and its coarse mesh as modelled, both in the garment's object space."""
-    place = np.array(garment.wrinkles.coarse_place, np.float64).reshape(4, 4)
-    positions, faces = read_mesh(coarse.data)
-    return read_mesh(garment.data), (apply(place, positions), faces)
+@dataclass(frozen=True, eq=False)
+class RestShapes:
+    """A garment and its coarse mesh as modelled, both in the garment's object space, shape [vertex_count, 3] each.
+
+    Attributes:
+        name: The coarse mesh's.
+    """
+
+    name: str
+    positions: FloatArray
+    faces: IntArray
+    coarse_positions: FloatArray
+    coarse_faces: IntArray
+
+    @staticmethod
+    def read(garment: bpy.types.Object) -> RestShapes:
+        """Raises ValueError, with one sentence, if the garment has no coarse mesh that moves without it."""
+        coarse = chosen_coarse(garment)
+        _refuse_loops(garment, coarse)
+        place = np.array(garment.wrinkles.coarse_place, np.float64).reshape(4, 4)
+        positions, faces = read_mesh(coarse.data)
+        return RestShapes(coarse.name, *read_mesh(garment.data), apply(place, positions), faces)
+
+    def match(self) -> Correspondence:
+        """Which coarse triangle each vertex of the garment rides on.
+
+        Raises:
+            ValueError: If the coarse mesh cannot carry the garment; one sentence that says what to do.
+        """
+        return find_correspondence(self.name, self.positions, self.faces, self.coarse_positions, self.coarse_faces)
+
+    def fingerprint(self) -> str:
+        """Tells changed shapes; triangles change with their vertices or their number."""
+        arrays = self.positions, self.faces, self.coarse_positions, self.coarse_faces
+        return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
 
 def match_coarse(garment: bpy.types.Object) -> Correspondence:
@@ -107,17 +140,14 @@ def match_coarse(garment: bpy.types.Object) -> Correspondence:
     Raises:
         ValueError: If the coarse mesh cannot carry the garment; one sentence that says what to do.
     """
-    coarse = chosen_coarse(garment)
-    _refuse_loops(garment, coarse)
-    (positions, faces), (coarse_positions, coarse_faces) = rest_shapes(garment, coarse)
-    return find_correspondence(coarse.name, positions, faces, coarse_positions, coarse_faces)
+    return RestShapes.read(garment).match()
 
 
 class CoarseLayer:
     """A garment tied to its coarse mesh, and all arrays that it takes to follow it.
 
     Args:
-        garment: The garment object; its settings name the coarse mesh.
+        shapes: The garment and its coarse mesh as modelled.
         database, evaluator: What the garment is synthesised by.
 
     Attributes:
@@ -128,11 +158,10 @@ class CoarseLayer:
         ValueError: If the coarse mesh cannot carry the garment; one sentence that says what to do.
     """
 
-    def __init__(self, garment: bpy.types.Object, database: WrinkleDatabase, evaluator: JointEvaluator):
-        match = match_coarse(garment)
-        positions, faces = read_mesh(garment.data)
-        self.note = doubt_of(garment, match)
-        self.wrinkles = AlignedWrinkles(database, evaluator, match, positions, faces)
+    def __init__(self, shapes: RestShapes, database: WrinkleDatabase, evaluator: JointEvaluator):
+        match = shapes.match()
+        self.note = doubt_of(shapes.name, match)
+        self.wrinkles = AlignedWrinkles(database, evaluator, match, shapes.positions, shapes.faces)
         self.follow = 1.0
         self._layer = HostArray((match.coarse_count,), wp.vec3, evaluator.device)
 
@@ -197,13 +226,12 @@ class CoarseLayer:
         self.wrinkles.evaluate(pose, self._layer.device, out, strengths, placement, self.follow)
 
 
-def doubt_of(garment: bpy.types.Object, match: Correspondence) -> str:
-    """A sentence on vertices whose place on the garment's coarse mesh is doubtful; empty if there are none."""
+def doubt_of(coarse: str, match: Correspondence) -> str:
+    """A sentence on vertices whose place on the coarse mesh of this name is doubtful; empty if there are none."""
     if not len(match.doubtful):
         return ""
     return (
-        f"{len(match.doubtful)} vertices of the garment may ride on the wrong part of the coarse mesh "
-        f"'{garment.wrinkles.coarse.name}'; "
+        f"{len(match.doubtful)} vertices of the garment may ride on the wrong part of the coarse mesh '{coarse}'; "
         "look where its layers come close."
     )
 
@@ -241,6 +269,7 @@ class CoarseBinding:
     def __init__(self, database: WrinkleDatabase):
         self._database = database
         self._layer: CoarseLayer | None = None
+        self._bound: Future[CoarseLayer] | None = None
         self._simulated: PlayedCache | None = None
         self._failed = ""
         self._missing = ""
@@ -281,15 +310,16 @@ class CoarseBinding:
             strict: Refuse a frame that the simulation does not have in a window, too.
 
         Raises:
+            NotReady: If the garment is still being bound to it, in a window.
             NotSimulated: In the background or if strict, if the simulation has no such frame.
             ValueError: If the layer cannot be bound, told once found and then again without another try; one sentence.
         """
         self._missing = ""
         tie_coarse(garment)
         if garment.wrinkles.coarse_layer == NONE:
-            self._layer, self._source, self._failed = None, None, ""
+            self._layer, self._bound, self._source, self._failed = None, None, None, ""
             return None
-        layer = self._bound(garment, evaluator)
+        layer = self._bind(garment, depsgraph, evaluator)
         if garment.wrinkles.coarse_layer == MESH:
             layer.read(garment, depsgraph)
             return layer
@@ -304,7 +334,9 @@ class CoarseBinding:
             return None
         return layer
 
-    def _bound(self, garment: bpy.types.Object, evaluator: JointEvaluator) -> CoarseLayer:
+    def _bind(
+        self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph, evaluator: JointEvaluator
+    ) -> CoarseLayer:
         try:
             source = _Source.of(garment)
             simulates = garment.wrinkles.coarse_layer != MESH
@@ -314,18 +346,32 @@ class CoarseBinding:
             raise
         if self._doubted and self._simulated is not None:
             self._simulated.doubt()
-        changed = self._doubted and (self._failed or _fingerprint(garment) != self._fingerprint)
-        if source != self._source or changed:
-            self._source, self._fingerprint = source, _fingerprint(garment)
-            self._layer, self._failed = None, ""
+        if source != self._source or self._doubted:
+            self._begin(garment, depsgraph, evaluator, source)
+        self._doubted = False
+        if self._layer is None and not self._failed:
+            assert self._bound is not None
             try:
-                self._layer = CoarseLayer(garment, self._database, evaluator)
+                self._layer = take(self._bound, depsgraph)
             except ValueError as error:
                 self._failed = str(error)
-        self._doubted = False
         if self._layer is None:
             raise ValueError(self._failed)
         return self._layer
+
+    def _begin(
+        self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph, evaluator: JointEvaluator, source: _Source
+    ) -> None:
+        """Bind the layer anew, unless it is as it was and did not fail."""
+        again, self._source = source != self._source or bool(self._failed), source
+        try:
+            shapes = RestShapes.read(garment)
+        except ValueError as error:
+            self._layer, self._failed = None, str(error)
+            return
+        if again or shapes.fingerprint() != self._fingerprint:
+            self._layer, self._failed, self._fingerprint = None, "", shapes.fingerprint()
+            self._bound = begin(partial(CoarseLayer, shapes, self._database, evaluator), depsgraph)
 
 
 def coarse_key(garment: bpy.types.Object) -> str:
@@ -341,9 +387,3 @@ def coarse_key(garment: bpy.types.Object) -> str:
 def in_background() -> bool:
     """Whether nobody looks on, so that a garment without its coarse layer must not be taken for a finished one."""
     return bpy.app.background
-
-
-def _fingerprint(garment: bpy.types.Object) -> str:
-    """Tells changed shapes; triangles change with their vertices or their number."""
-    shapes = rest_shapes(garment, chosen_coarse(garment))
-    return hashlib.sha256(b"".join(array.tobytes() for shape in shapes for array in shape)).hexdigest()

@@ -58,7 +58,7 @@ def choose(garment: bpy.types.Object, coarse: bpy.types.Object, layer: str) -> s
     bpy.context.view_layer.update()
     settings = garment.wrinkles
     settings.coarse, settings.coarse_layer = coarse, layer
-    return doubt_of(garment, match_coarse(garment))
+    return doubt_of(coarse.name, match_coarse(garment))
 
 
 def _place_beside(garment: bpy.types.Object, made: CoarseMesh) -> bpy.types.Object:

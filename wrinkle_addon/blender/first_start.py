@@ -15,6 +15,7 @@ import bpy
 
 from ..kernel_cache import are_compiled
 from .command import own_command
+from .made_behind import tag_garments
 from .preferences import chosen_device
 
 TICK = 0.25
@@ -105,9 +106,7 @@ def _tick() -> float | None:
         _show()
     if not first_start.is_over:
         return TICK
-    for ob in bpy.data.objects:
-        if ob.type == "MESH" and ob.wrinkles.enabled:
-            ob.update_tag()
+    tag_garments()
     return None
 
 

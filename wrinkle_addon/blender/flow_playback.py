@@ -12,8 +12,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..flow import Ends, FlowMethod, Timing
-from ..flow_file import read_flow
+from ..flow import Ends, FlowEvaluator, FlowMethod, Timing
+from ..flow_file import Flow, read_flow
 from ..folder_verbs import choose_device
 from ..garment import Garment
 from ..rig import FloatArray, Pose
@@ -49,6 +49,24 @@ class FlowFile:
             raise ValueError(f"The garment '{garment.name}' has no flow; compress a recording, or choose one.")
         return FlowFile(bpy.path.abspath(settings.flow.path), device_name(), settings.armature.session_uid)
 
+    def bind(self) -> BoundFlow:
+        """Read the flow and bind it to the device.
+
+        Raises:
+            ValueError: If it cannot be read; one sentence.
+        """
+        flow = read_flow(Path(self.path))
+        return BoundFlow(self, flow, FlowMethod(flow).bind(choose_device(self.device)))
+
+
+@dataclass(frozen=True, eq=False)
+class BoundFlow:
+    """A flow as it was read and bound, without anything of the scene."""
+
+    source: FlowFile
+    flow: Flow
+    evaluator: FlowEvaluator
+
     def player(self, garment: bpy.types.Object) -> FlowPlayer:
         return FlowPlayer(garment, self)
 
@@ -60,17 +78,17 @@ class FlowPlayer(playback.Player):
         ValueError: One sentence, if the flow cannot be read, or is not of this garment and its rig.
     """
 
-    def __init__(self, garment: bpy.types.Object, source: FlowFile):
-        device = choose_device(source.device)
-        self.source = source
-        self.flow = read_flow(Path(source.path))
+    def __init__(self, garment: bpy.types.Object, bound: BoundFlow):
+        self.source = bound.source
+        self.flow = bound.flow
         self._outside = ""
         self.doubt()
         self.check(garment)
         make_writable(garment)
-        self.rig_key = (source.armature, self.flow.rig.fingerprint())
-        self._evaluator = FlowMethod(self.flow).bind(device)
-        self._clearance = BodyClearance(self._worn(garment), device)
+        self.rig_key = (bound.source.armature, self.flow.rig.fingerprint())
+        self._evaluator = bound.evaluator
+        device = bound.evaluator.device
+        self._clearance = BodyClearance(self._worn(garment), str(device))
         self._positions = wp.zeros(self.flow.vertex_count, dtype=wp.vec3, device=device)
         on_cpu = self._positions.device.is_cpu
         self._host = self._positions if on_cpu else wp.zeros_like(self._positions, device="cpu", pinned=True)

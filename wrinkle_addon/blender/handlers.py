@@ -11,6 +11,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from . import coarse_playing, correction_undo, playback
+from .made_behind import look, tag_garments
 from .node_group import NO_FRAME, find_modifier, get_input, set_input
 from .relative_paths import keep_paths, remap_paths
 from .write import show_skinned, wake_skinning
@@ -108,13 +109,7 @@ def forget_file(path: str, unused: object = None) -> None:
 def _play_soon() -> None:
     if not bpy.app.background:
         # The window's first evaluation of a file comes after all handlers, and calls none.
-        bpy.app.timers.register(_tag_garments, first_interval=0.0)
-
-
-def _tag_garments() -> None:
-    for ob in bpy.data.objects:
-        if ob.type == "MESH" and ob.wrinkles.enabled:
-            ob.update_tag()
+        bpy.app.timers.register(tag_garments, first_interval=0.0)
 
 
 @persistent
@@ -198,7 +193,7 @@ def register() -> None:
 def unregister() -> None:
     """Remove the handlers; garments go back to their skinned shape."""
     _remove_handlers()
-    for timer in (_tag_garments, _grant_wishes):
+    for timer in (tag_garments, look, _grant_wishes):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
     playback.forget_all()

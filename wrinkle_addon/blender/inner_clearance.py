@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 
 import bpy
 import numpy as np
@@ -16,6 +18,7 @@ from ..rig import FloatArray
 from ..wearer import worn_limbs
 from .character import apply
 from .clearance import metre_of
+from .made_behind import begin, take
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +69,8 @@ class InnerClearance:
     def __init__(self, database: WrinkleDatabase, device: str):
         self._database = database
         self._device = device
-        self._bound: WrinkleDatabase | None = None
+        self._inner: WrinkleDatabase | None = None
+        self._bound: Future[PushOut] | None = None
         self._push: PushOut | None = None
         self.note = ""
 
@@ -78,6 +82,9 @@ class InnerClearance:
         Args:
             garment: The outer, original garment object.
             inner: What it is worn over, if that plays wrinkles.
+
+        Raises:
+            NotReady: If the one is still being bound to the other, in a window.
         """
         self.note = ""
         worn_over = garment.wrinkles.worn_over
@@ -92,10 +99,10 @@ class InnerClearance:
         except ValueError as error:
             self.note = f"{error} The garment '{garment.name}' plays without being kept outside it."
             return None
-        if self._bound is not inner.database:
-            self._push = PushOut(bind_to_garment(self._database, inner.database), device=self._device)
-            self._bound = inner.database
-        assert self._push is not None
+        if self._bound is None or self._inner is not inner.database:
+            self._inner = inner.database
+            self._bound = begin(partial(_push_out_of, self._database, inner.database, self._device), depsgraph)
+        self._push = take(self._bound, depsgraph)
         self._push.set_distance(garment.wrinkles.clearance)
         to_garment = np.linalg.inv(np.array(garment.evaluated_get(depsgraph).matrix_world, np.float64)) @ inner.world
         if np.array_equal(to_garment, np.eye(4)):
@@ -108,6 +115,10 @@ class InnerClearance:
         metre = metre_of(placement)
         if metre > 0.0:
             self._push.clear(inner, positions, metre)
+
+
+def _push_out_of(outer: WrinkleDatabase, inner: WrinkleDatabase, device: str) -> PushOut:
+    return PushOut(bind_to_garment(outer, inner), device=device)
 
 
 def bind_to_garment(outer: WrinkleDatabase, inner: WrinkleDatabase) -> ClearanceBinding:

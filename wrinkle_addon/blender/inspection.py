@@ -109,7 +109,7 @@ def inspect_garment(garment: bpy.types.Object, folder: Path | None = None) -> li
         findings.append(Finding(text, Place.of_vertices(Part.GARMENT, split), stops=False))
     if settings.coarse_layer != NONE:
         with _noting(findings):
-            findings += _notes(doubt_of(garment, match_coarse(garment)))
+            findings += _notes(doubt_of(settings.coarse.name, match_coarse(garment)))
     return findings
 
 

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Iterator, Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import bpy
 import numpy as np
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from ..database import WrinkleDatabase
 from ..folder_verbs import choose_device
-from ..joint_wrinkles import BlendWeights, Formulation, JointWrinkles
+from ..joint_wrinkles import BlendWeights, Formulation, JointEvaluator, JointWrinkles
 from ..rig import FloatArray, Pose
 from .armature import PoseReader, rig_scale
 from .clearance import BodyClearance, Worn
@@ -28,6 +29,7 @@ from .coarse_layer import CoarseBinding
 from .culling import is_culled
 from .first_start import first_start
 from .inner_clearance import InnerClearance, InnerGarment, garments_under
+from .made_behind import NotReady, begin, take
 from .matching import check_mesh, match_rig
 from .node_group import find_modifier, shows_all
 from .preferences import device_name
@@ -68,6 +70,27 @@ class Source:
             settings.armature.session_uid,
         )
 
+    def bind(self) -> Bound:
+        """Read the database and bind it to the device, which takes some tenths of a second.
+
+        Raises:
+            ValueError: If it cannot be read; one sentence.
+        """
+        database = WrinkleDatabase.open(Path(self.database))
+        method = JointWrinkles(database, self.formulation, self.weights)
+        reports = {sample.name: stored.report for sample, stored in method.samples.items()}
+        return Bound(self, database, method.bind(choose_device(self.device)), reports)
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """A source as it was read and bound, without anything of the scene; ``reports`` as of :class:`Player`."""
+
+    source: Source
+    database: WrinkleDatabase
+    evaluator: JointEvaluator
+    reports: Mapping[str, Mapping[str, Any]]
+
     def player(self, garment: bpy.types.Object) -> Player:
         return Player(garment, self)
 
@@ -77,7 +100,7 @@ class Player:
 
     Args:
         garment: The garment object; it gets a mesh of its own if it shares one.
-        source: The source that its settings name.
+        bound: The source that its settings name.
 
     Attributes:
         coarse: The garment's coarse layer.
@@ -90,22 +113,21 @@ class Player:
 
     source: Source | FlowFile
 
-    def __init__(self, garment: bpy.types.Object, source: Source):
-        device = choose_device(source.device)
-        self.source = source
-        self.database = WrinkleDatabase.open(Path(source.database))
+    def __init__(self, garment: bpy.types.Object, bound: Bound):
+        self.source = bound.source
+        self.database = bound.database
         self.coarse = CoarseBinding(self.database)
         self.doubt()
         self.check(garment)
         make_writable(garment)
         # Garments that share an armature and were baked for the same rest pose share its pose, too.
-        self.rig_key = (source.armature, self.database.header.rig.fingerprint())
-        method = JointWrinkles(self.database, source.formulation, source.weights)
-        self.reports = {sample.name: stored.report for sample, stored in method.samples.items()}
-        self._evaluator = method.bind(device)
+        self.rig_key = (bound.source.armature, self.database.header.rig.fingerprint())
+        self.reports = bound.reports
+        self._evaluator = bound.evaluator
+        device = bound.evaluator.device
         self._positions = wp.zeros(self._evaluator.vertex_count, dtype=wp.vec3, device=device)
-        self._clearance = BodyClearance(Worn.of_database(self.database), device)
-        self._inner_clearance = InnerClearance(self.database, device)
+        self._clearance = BodyClearance(Worn.of_database(self.database), str(device))
+        self._inner_clearance = InnerClearance(self.database, str(device))
         on_cpu = self._positions.device.is_cpu
         self._host = self._positions if on_cpu else wp.zeros_like(self._positions, device="cpu", pinned=True)
         self._host_view: NDArray[np.float32] = self._host.numpy()
@@ -170,6 +192,9 @@ class Player:
             pose: From :meth:`read_pose`.
             depsgraph: Whence placement, strengths (which may be animated) and frame come.
             only_changes: Do nothing if all that decides the result is as it was.
+
+        Raises:
+            NotReady: If something that it needs is still being made, in a window.
         """
         evaluated = garment.evaluated_get(depsgraph)
         placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
@@ -224,15 +249,19 @@ class Status:
 
     Attributes:
         player: None as long as there is none.
+        bound: What the player is being made of, and the source that it is read from.
         failed: A source that no player could be made from, and why; not tried again until something changes.
         error: One sentence, if the garment shows its skinned shape because of it; else empty.
         plays: Whether the player shows it in the frame played last.
+        waits: Whether a window showed it skinned in that frame because something is still being made ready.
     """
 
     player: Player | None = None
+    bound: tuple[Source | FlowFile, Future] | None = None
     failed: tuple[Source | FlowFile, str] | None = None
     error: str = ""
     plays: bool = False
+    waits: bool = False
 
 
 _statuses: dict[int, Status] = {}
@@ -278,12 +307,15 @@ def play_scene(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, *, only_c
     poses: dict[object, Pose] = {}
     garments = [ob for ob in _objects(scene) if ob.type == "MESH" and ob.wrinkles.enabled]
     for known in _statuses.values():
-        known.plays = False
+        known.plays = known.waits = False
     for garment in sorted(garments, key=_layer_number):
         known = _statuses.setdefault(garment.session_uid, Status())
         try:
             known.plays = _play_garment(garment, known, depsgraph, poses, only_changes)
             known.error = ""
+        except NotReady:
+            known.waits, known.error = True, ""
+            _fall_back(garment)
         except Exception as error:
             if not isinstance(error, ValueError):
                 traceback.print_exc()
@@ -327,7 +359,7 @@ def _play_garment(
             f"The armature '{armature.name}' of the garment '{garment.name}' is not in the scene "
             f"'{depsgraph.scene.name}'; put it there."
         )
-    player = _player(garment, source, known)
+    player = _player(garment, source, known, depsgraph)
     player.check(garment)
     if player.rig_key not in poses:
         poses[player.rig_key] = player.read_pose(armature)
@@ -361,19 +393,26 @@ def _is_covered(evaluated: bpy.types.Object) -> bool:
     return modifier is not None and shows_all(modifier)
 
 
-def _player(garment: bpy.types.Object, source: Source | FlowFile, known: Status) -> Player:
+def _player(
+    garment: bpy.types.Object, source: Source | FlowFile, known: Status, depsgraph: bpy.types.Depsgraph
+) -> Player:
     if known.player is not None and known.player.source == source:
         return known.player
     if known.failed is not None and known.failed[0] == source:
         raise ValueError(known.failed[1])
     known.player = known.failed = None
     try:
-        known.player = source.player(garment)
-    except Exception as error:
-        known.failed = source, _sentence(error)
+        if known.bound is None or known.bound[0] != source:
+            known.bound = source, begin(source.bind, depsgraph)
+        player = take(known.bound[1], depsgraph).player(garment)
+    except NotReady:
         raise
+    except Exception as error:
+        known.bound, known.failed = None, (source, _sentence(error))
+        raise
+    known.player, known.bound = player, None
     lock_interface(garment)
-    return known.player
+    return player
 
 
 def _sentence(error: Exception) -> str:

@@ -52,6 +52,9 @@ def _draw_status(context: bpy.types.Context, layout: bpy.types.UILayout, garment
         box.alert = True
         say(context, box, status.error, icon="ERROR")
         return
+    if status.waits:
+        layout.label(text="Getting ready; skinned until then", icon="TIME")
+        return
     if status.player is None or garment.wrinkles.flow.replays:
         return
     for name, beyond in status.player.clamped.items():
