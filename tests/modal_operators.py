@@ -23,7 +23,7 @@ class Window:
         self.told: list[str | None] = []
         self.timers = 0
         self.window = object()
-        self.workspace = SimpleNamespace(status_text_set=self.told.append)
+        self.workspace = SimpleNamespace(name="Layout", status_text_set=self.told.append)
         self.window_manager = SimpleNamespace(
             windows=[],
             event_timer_add=self._add_timer,
@@ -59,7 +59,7 @@ def operator_of(
     group, name = cls.bl_idname.split(".")
     described = getattr(getattr(bpy.ops, group), name).get_rna_type().properties
     defaults = {each.identifier: each.default for each in described if hasattr(each, "default")}
-    made = SimpleNamespace(**{**defaults, **chosen}, stopping=cls.stopping)
+    made = SimpleNamespace(**{**defaults, **chosen}, stopping=getattr(cls, "stopping", ""))
     for attribute, value in vars(cls).items():
         if attribute.startswith("_") and value is None:
             setattr(made, attribute, None)

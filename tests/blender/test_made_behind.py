@@ -10,7 +10,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from modal_operators import ESCAPE, MOUSE, TIMER, Window, operator_of, tick_until_done
 from small_character import TOLERANCE, Arm, Bumps, build_arm, empty_scene, evaluated_positions
+from wrinkle_synthesis.operators import make_coarse_mesh
+from wrinkle_synthesis.operators.make_coarse_mesh import WRINKLE_OT_make_coarse_mesh
 from wrinkle_synthesis.wrinkle_addon.blender import made_behind, playback
 from wrinkle_synthesis.wrinkle_addon.blender.node_group import find_modifier
 from wrinkle_synthesis.wrinkle_addon.rig import Pose
@@ -129,3 +132,39 @@ def test_what_was_begun_for_another_file_is_dropped(arm: Arm, held: threading.Ev
     made_behind.look()
     bpy.context.view_layer.update()
     assert playback.status(arm.sleeve).player is None and is_skinned(arm)
+
+
+# --- the coarse mesh ----------------------------------------------------------------------------------------------
+
+
+def test_a_coarse_mesh_is_made_behind_the_window(
+    arm: Arm, held: threading.Event, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_coarse(arm)
+    at_once = np.array([vertex.co for vertex in arm.sleeve.wrinkles.coarse.data.vertices])
+    arm.sleeve.wrinkles.enabled = False
+    window = Window()
+    operator = operator_of(WRINKLE_OT_make_coarse_mesh, make_coarse_mesh, window, monkeypatch, vertex_count=60)
+    assert operator.invoke(window, None) == {"RUNNING_MODAL"}
+    for event in (MOUSE, TIMER):
+        assert operator.modal(window, event) == {"PASS_THROUGH"} and window.timers == 1
+    held.set()
+    assert tick_until_done(operator, window) == {"FINISHED"}, window.told
+    assert window.timers == 0 and arm.sleeve.wrinkles.coarse_layer == "SIMULATION"
+    np.testing.assert_array_equal([vertex.co for vertex in arm.sleeve.wrinkles.coarse.data.vertices], at_once)
+
+
+def test_making_a_coarse_mesh_can_be_stopped_and_notices_another_garment(
+    arm: Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm.sleeve.wrinkles.enabled = False
+    bpy.context.view_layer.objects.active = arm.sleeve
+    window = Window()
+    operator = operator_of(WRINKLE_OT_make_coarse_mesh, make_coarse_mesh, window, monkeypatch, vertex_count=60)
+    operator.invoke(window, None)
+    assert operator.modal(window, ESCAPE) == {"CANCELLED"} and window.timers == 0
+    operator.invoke(window, None)
+    arm.sleeve.data.vertices.add(1)
+    assert tick_until_done(operator, window) == {"CANCELLED"}
+    assert "changed while its coarse mesh was made" in window.told[-1]
+    assert arm.sleeve.wrinkles.coarse is None and "sleeve.coarse" not in bpy.data.objects

@@ -33,11 +33,16 @@ def begin(make: Callable[[], Made], depsgraph: bpy.types.Depsgraph) -> Future[Ma
         except Exception as error:
             made.set_exception(error)
         return made
-    made = _maker.submit(make)
+    made = submit(make)
     _making.append(made)
     if not bpy.app.timers.is_registered(look):
         bpy.app.timers.register(look, first_interval=TICK)
     return made
+
+
+def submit(make: Callable[[], Made]) -> Future[Made]:
+    """Make something behind the window; ``make`` must not touch Blender's data. One after the other."""
+    return _maker.submit(make)
 
 
 def take(made: Future[Made], depsgraph: bpy.types.Depsgraph) -> Made:
