@@ -9,6 +9,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+import wrinkle_synthesis
 from small_character import TOLERANCE, Arm, Bumps, build_arm, empty_scene, evaluated_positions
 from wrinkle_synthesis.wrinkle_addon.blender import playback
 from wrinkle_synthesis.wrinkle_addon.blender.handlers import suspended
@@ -71,6 +72,43 @@ def test_without_the_addon_a_saved_file_shows_the_skinned_garment(arm: Arm, bump
     assert shows(arm, bumps.shape(pose)), "saving must not change what the artist sees"
     modifier.show_viewport = False
     np.testing.assert_array_equal(plain, evaluated_positions(arm.sleeve))
+
+
+@pytest.fixture
+def autosave(arm: Arm, tmp_path: Path) -> Path:
+    """A file as Blender writes it by itself, without calling a handler."""
+    bpy.context.scene.frame_set(1)
+    arm.bend(1.0)
+    bpy.context.view_layer.update()
+    lists = bpy.app.handlers.save_pre, bpy.app.handlers.save_post
+    called = [list(handlers) for handlers in lists]
+    for handlers in lists:
+        handlers.clear()
+    path = save(tmp_path / "autosave.blend")
+    for handlers, before in zip(lists, called, strict=True):
+        handlers.extend(before)
+    return path
+
+
+def test_without_the_addon_an_autosave_shows_the_skinned_garment(arm: Arm, autosave: Path, tmp_path: Path) -> None:
+    modifier = find_modifier(arm.sleeve)
+    played = evaluated_positions(arm.sleeve)
+    modifier.show_viewport = False
+    skinned = evaluated_positions(arm.sleeve)
+    assert np.abs(played - skinned).max() > 1e-3
+    for frame in (None, 1):
+        np.testing.assert_array_equal(in_fresh_blender(autosave, frame, False, tmp_path), skinned)
+
+
+def test_an_addon_that_comes_after_the_file_plays_it(bumps: Bumps, autosave: Path) -> None:
+    wrinkle_synthesis.unregister()
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(autosave))
+        skinned = evaluated_positions(bpy.data.objects["sleeve"])
+    finally:
+        wrinkle_synthesis.register()
+    bpy.context.scene.frame_set(1)
+    assert np.abs(evaluated_positions(bpy.data.objects["sleeve"]) - skinned).max() > 1e-3
 
 
 def test_a_fresh_process_shows_the_same_bits(arm: Arm, tmp_path: Path) -> None:

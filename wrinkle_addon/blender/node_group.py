@@ -8,13 +8,18 @@ from typing import Any
 import bpy
 
 MODIFIER = "Wrinkles"
-VERSION = 2
+VERSION = 3
 """Raised whenever the node group changes, so that an older one in a file is replaced."""
 GROUP = f"{MODIFIER} {VERSION}"
 ATTRIBUTE = "wrinkle_position"
 """Float vector on the garment's points: played positions in object space."""
 NO_FRAME = -1.0e7
 """Stored frame that is no scene's: the modifier lets the skinned garment through."""
+
+PRESENT = "wrinkle_addon_is_here"
+"""Property of node groups that there is as long as the add-on is; in a file it leaves nothing."""
+_LIVE = "Live"
+"""The node that says so, by a driver: without the add-on Blender cannot find the property, and falls back to 0."""
 
 _ANY_VERSION = re.compile(rf"{MODIFIER} \d+(\.\d+)?")
 _INPUTS = (
@@ -119,6 +124,7 @@ def _build_group() -> bpy.types.GeometryNodeTree:
     """Positions from the attribute, mixed in by Factor * Mask, where the attribute exists and Frame is the scene's.
 
     The scene's time node counts fractions of frames too, so that positions of one subframe are never shown in another.
+    Without the add-on nothing is mixed in, whatever frame a file was written in: Blender's autosave asks nobody.
     """
     group = bpy.data.node_groups.new(GROUP, "GeometryNodeTree")
     group.is_modifier = True
@@ -142,7 +148,7 @@ def _build_group() -> bpy.types.GeometryNodeTree:
     current = _math(group, "COMPARE", inputs["Frame"], nodes.new("GeometryNodeInputSceneTime").outputs["Frame"])
     shown = _math(group, "MULTIPLY", current, played.outputs["Exists"])
     wanted = _math(group, "MULTIPLY", inputs["Factor"], inputs["Mask"])
-    weight = _math(group, "MULTIPLY", shown, wanted)
+    weight = _math(group, "MULTIPLY", _math(group, "MULTIPLY", shown, _add_live(group)), wanted)
     mix = nodes.new("ShaderNodeMix")
     mix.data_type = "VECTOR"
     sockets = {socket.identifier: socket for socket in (*mix.inputs, *mix.outputs)}
@@ -157,6 +163,26 @@ def _build_group() -> bpy.types.GeometryNodeTree:
     for place, node in enumerate(nodes):
         node.location = (220 * (place % 4), -240 * (place // 4))
     return group
+
+
+def _add_live(group: bpy.types.GeometryNodeTree) -> bpy.types.NodeSocket:
+    """1 where the add-on is, 0 where the file is opened without it."""
+    node = group.nodes.new("ShaderNodeValue")
+    node.name = node.label = _LIVE
+    driver = node.outputs[0].driver_add("default_value").driver
+    # The value of its one variable: no Python, which many do not let files run.
+    driver.type = "AVERAGE"
+    target = driver.variables.new().targets[0]
+    target.id_type, target.id, target.data_path = "NODETREE", group, PRESENT
+    target.use_fallback_value, target.fallback_value = True, 0.0
+    return node.outputs[0]
+
+
+def wake_group(group: bpy.types.GeometryNodeTree) -> None:
+    """See to it that the driver is looked at, if the file was opened before the add-on was there."""
+    live = group.nodes.get(_LIVE)
+    if live is not None and live.outputs[0].default_value < 1.0:
+        group.update_tag()
 
 
 def _math(

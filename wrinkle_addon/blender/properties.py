@@ -19,7 +19,7 @@ from . import playback
 from .coarse_layer import MESH, NONE, choose_coarse, tie_coarse
 from .coarse_scene import SIMULATION
 from .flow_properties import FlowSettings
-from .node_group import add_modifier, set_mask
+from .node_group import PRESENT, add_modifier, set_mask
 from .sample_properties import GhostSettings
 from .write import show_skinned
 
@@ -472,7 +472,9 @@ classes = (JointSettings, GarmentSettings)
 
 def register() -> None:
     bpy.types.Object.wrinkles = bpy.props.PointerProperty(type=GarmentSettings, override=_OVERRIDABLE)
+    setattr(bpy.types.NodeTree, PRESENT, bpy.props.BoolProperty(default=True, options={"HIDDEN"}))
 
 
 def unregister() -> None:
     del bpy.types.Object.wrinkles
+    delattr(bpy.types.NodeTree, PRESENT)

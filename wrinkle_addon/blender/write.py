@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from .node_group import ATTRIBUTE, NO_FRAME, add_modifier, find_modifier, get_input, set_input
+from .node_group import ATTRIBUTE, NO_FRAME, add_modifier, find_modifier, get_input, set_input, wake_group
 
 
 def make_writable(garment: bpy.types.Object) -> None:
@@ -43,7 +43,9 @@ def show_positions(garment: bpy.types.Object, positions: NDArray[np.float32], fr
     if attribute is None:
         attribute = mesh.attributes.new(ATTRIBUTE, "FLOAT_VECTOR", "POINT")
     attribute.data.foreach_set("vector", positions.reshape(-1))
-    set_input(add_modifier(garment), "Frame", frame)
+    modifier = add_modifier(garment)
+    set_input(modifier, "Frame", frame)
+    wake_group(modifier.node_group)
     mesh.update()
 
 
