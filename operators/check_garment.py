@@ -15,6 +15,7 @@ class WRINKLE_OT_check_garment(bpy.types.Operator):
 
     bl_idname = "wrinkle.check_garment"
     bl_label = "Check Garment"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 - Blender wants a plain set
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

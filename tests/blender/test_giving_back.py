@@ -147,6 +147,8 @@ def test_looking_changes_nothing_of_the_character(bumps: Bumps, database: Path, 
     empty_scene()
     arm = build_arm("", database)
     bpy.context.view_layer.objects.active = arm.sleeve
+    # Symmetry is looked for here for the first time.
+    bpy.ops.wrinkle.check_garment()
     bpy.context.view_layer.update()
     before = file_contents()
     assert getattr(bpy.ops.wrinkle, operator)() == {"FINISHED"}

@@ -123,6 +123,29 @@ def test_a_sound_garment_has_no_problems(arm: Arm) -> None:
     assert "Ready to bake" in draw(panels.character.WRINKLE_PT_problems).labels
 
 
+@pytest.mark.parametrize("part", ["garment", "rig"])
+def test_what_was_found_is_no_longer_shown_once_the_shape_is_another(arm: Arm, part: str) -> None:
+    checked(arm)
+    vertex = arm.sleeve.data.vertices[0]
+    if part == "garment":
+        vertex.co.z += 1e-4
+    else:
+        bpy.context.view_layer.objects.active = arm.armature
+        bpy.ops.object.mode_set(mode="EDIT")
+        arm.armature.data.edit_bones["lower"].tail.z += 0.01
+        bpy.ops.object.mode_set(mode="OBJECT")
+        bpy.context.view_layer.objects.active = arm.sleeve
+    assert findings_of(arm.sleeve) is None
+    assert "Not checked as it is now" in draw(panels.character.WRINKLE_PT_problems).text
+    if part == "garment":
+        vertex.co.z -= 1e-4
+        checked(arm)
+        # Who was sent to a place in edit mode still reads why.
+        bpy.ops.object.mode_set(mode="EDIT")
+        assert findings_of(arm.sleeve) is not None
+        bpy.ops.object.mode_set(mode="OBJECT")
+
+
 def test_every_problem_is_listed_with_a_button_to_its_place(arm: Arm) -> None:
     mesh = arm.sleeve.data
     arm.sleeve.vertex_groups["upper"].remove([0, 1])
@@ -253,6 +276,20 @@ def test_a_character_that_is_not_symmetric_is_told_why(figure: None, part: str, 
     assert not finding.stops and finding.place is not None and len(finding.place.vertices)
     garment.wrinkles.use_symmetry = False
     assert "symmetric" not in draw(panels.plan.WRINKLE_PT_plan).text
+
+
+def test_symmetry_is_looked_for_again_by_the_check(shirt: bpy.types.Object) -> None:
+    def says() -> str:
+        return draw(panels.plan.WRINKLE_PT_plan).text
+
+    assert "Check looks anew" not in says() and "Both sides" not in says()
+    for shift, told in ((0.01, True), (-0.01, False)):
+        for vertex in bpy.data.objects["body"].data.vertices:
+            vertex.co.y += shift if vertex.co.x > 0.3 else 0.0
+        assert "Check looks anew which side mirrors which" in says()
+        bpy.ops.wrinkle.check_garment()
+        assert "Check looks anew" not in says() and ("The body is not symmetric" in says()) == told
+        assert bool(shirt.wrinkles.mirror_signs) != told
 
 
 def test_a_joint_may_have_a_step_of_its_own(shirt: bpy.types.Object) -> None:

@@ -20,7 +20,8 @@ from .character import SamplingStage, check_objects, read_garment, read_mesh, ri
 from .coarse_layer import NONE, doubt_of, match_coarse
 from .files import database_folder
 from .matching import check_database
-from .setup import stage_job, stored_joint
+from .setup import remember_symmetry, stage_job, stored_joint
+from .shape_marks import Marks, same_shapes, shape_marks
 
 
 @dataclass(frozen=True)
@@ -38,24 +39,24 @@ class Finding:
     stops: bool = True
 
 
-_found: dict[int, tuple[tuple[object, ...], list[Finding]]] = {}
-"""What was found last and what it was made from, by the session_uid of the garment."""
+_found: dict[int, tuple[tuple[object, ...], Marks, list[Finding]]] = {}
+"""What was found last, and what it was made from, by the session_uid of the garment."""
 
 
 def remember_findings(garment: bpy.types.Object, findings: list[Finding]) -> None:
     """Keep what was found for the panel, as long as it holds."""
-    _found[garment.session_uid] = _source_of(garment), findings
+    _found[garment.session_uid] = _source_of(garment), shape_marks(garment), findings
 
 
 def findings_of(garment: bpy.types.Object) -> list[Finding] | None:
     """What was found last; None if nothing was, or if the garment is no longer what it was found on."""
-    source, findings = _found.get(garment.session_uid, (None, None))
-    return findings if source == _source_of(garment) else None
+    source, marks, findings = _found.get(garment.session_uid, (None, (), None))
+    return findings if source == _source_of(garment) and same_shapes(marks, garment) else None
 
 
 def _source_of(garment: bpy.types.Object) -> tuple[object, ...]:
-    """What findings are made from, as far as a redraw of the panel has the time to look: settings, how many vertices
-    and which bones there are, and when the database was last baked."""
+    """What findings are made from besides the character's shape, as far as a redraw of the panel has the time to look:
+    settings, how many vertices and which bones there are, and when the database was last baked."""
     settings = garment.wrinkles
     objects = garment, settings.body, settings.armature, settings.coarse
     bones = () if settings.armature is None else tuple(settings.armature.data.bones.keys())
@@ -80,6 +81,8 @@ def _baked_at(garment: bpy.types.Object) -> int | None:
 def inspect_garment(garment: bpy.types.Object, folder: Path | None = None) -> list[Finding]:
     """Go through the motions of a bake and of playing without simulating.
 
+    What the garment remembers of its character's symmetry is renewed, where it is another by now.
+
     Args:
         garment: A garment that was set up.
         folder: Its database; left out, the one that it remembers.
@@ -99,6 +102,7 @@ def inspect_garment(garment: bpy.types.Object, folder: Path | None = None) -> li
         if not any(finding.stops for finding in findings):
             job = stage_job(garment, stage)
             _check_extremes(stage, job)
+            remember_symmetry(garment, job.rig, job.garment, job.body)
             samples = len(job.plan.samples) + 1
             findings += _notes(f"{samples} samples of {job.garment.vertex_count} vertices would be baked.")
             if settings.use_symmetry:

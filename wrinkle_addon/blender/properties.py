@@ -364,6 +364,9 @@ class GarmentSettings(bpy.types.PropertyGroup):
     asymmetry: bpy.props.StringProperty(
         options={"HIDDEN"}, description="A sentence on where the character is not symmetric; empty if it is"
     )
+    symmetry_marks: bpy.props.StringProperty(
+        options={"HIDDEN"}, description="The shapes that symmetry was looked for on; JSON"
+    )
     corrections: bpy.props.StringProperty(
         options={"HIDDEN"}, description="Versions of samples that were chosen in this file, which undo follows; JSON"
     )

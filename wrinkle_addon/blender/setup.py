@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +29,7 @@ from ..symmetry import find_mirror, require_mirror, symmetric_limits
 from .character import SamplingStage, apply, check_objects, read_garment, read_mesh, rig_from_world, sampling_stage
 from .plan_preview import signs_text
 from .removal import remember_garment
+from .shape_marks import shape_marks
 
 LEAST_VERTICES = 10_000
 MOST_SUBDIVISIONS = 4
@@ -121,15 +123,26 @@ def setup_garment(
     for joint in used:
         settings.joints.add().store(joint)
     worn_garment = Garment(fine.name, worn, faces, weights, np.zeros(len(worn), np.float32))
-    try:
-        settings.mirror_signs, settings.asymmetry = signs_text(require_mirror(rig, used, worn_garment, body_mesh)), ""
-    except PlacedError as error:
-        settings.mirror_signs, settings.asymmetry = "", str(error)
+    remember_symmetry(fine, rig, worn_garment, body_mesh)
     if not settings.database:
         settings.database = f"//{bpy.path.clean_name(garment.name)}.wrinkles"
     split = len(split_vertices(positions, faces))
     sewn = f"{split} vertices of '{garment.name}' lie where others do and will come apart; merge vertices by distance."
     return SetupResult(fine, search, tuple(joint.name for joint in used), (*search.notes, *([sewn] if split else [])))
+
+
+def remember_symmetry(garment: bpy.types.Object, rig: Rig, worn: Garment, body: Body) -> None:
+    """Store how the angles of a garment's joints mirror, or why they do not, and what that was found on."""
+    settings = garment.wrinkles
+    try:
+        mirror = require_mirror(rig, [stored_joint(stored, rig) for stored in settings.joints], worn, body)
+        found = signs_text(mirror), ""
+    except PlacedError as error:
+        found = "", str(error)
+    marks = json.dumps(shape_marks(garment))
+    # What is as it was is not written, so that looking changes nothing.
+    if (settings.mirror_signs, settings.asymmetry, settings.symmetry_marks) != (*found, marks):
+        settings.mirror_signs, settings.asymmetry, settings.symmetry_marks = *found, marks
 
 
 def rest_mesh(garment: bpy.types.Object, subdivide: int | None) -> bpy.types.Mesh:

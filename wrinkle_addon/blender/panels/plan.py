@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import bpy
 
 from ...folder_verbs import choose_device
@@ -9,6 +11,7 @@ from ..plan_preview import preview_plan
 from ..preferences import device_name
 from ..presets import WRINKLE_PT_fabric_presets, WRINKLE_PT_plan_presets
 from ..properties import OWN_FABRIC
+from ..shape_marks import same_shapes
 from .layout import GarmentPanel, draw_settings, garment_of, say, say_numbers, settings_column, translated
 
 
@@ -42,7 +45,9 @@ class WRINKLE_PT_plan(GarmentPanel, bpy.types.Panel):
         except ValueError as error:
             say(context, layout, str(error), icon="ERROR")
         say_numbers(layout, numbers)
-        if settings.use_symmetry and not settings.mirror_signs:
+        if settings.use_symmetry and not same_shapes(json.loads(settings.symmetry_marks or "[]"), garment):
+            say(context, layout, "The character's shape has changed: Check looks anew which side mirrors which.")
+        elif settings.use_symmetry and not settings.mirror_signs:
             say(context, layout, "Both sides are simulated.", icon="INFO")
             say(context, layout, settings.asymmetry or "Set the garment up again to see why.")
 
