@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 from dolls import doll
 from fake_layout import draw
 from figures import build_figure
-from small_character import Arm, Bumps, build_arm, empty_scene, evaluated_positions
+from small_character import Arm, empty_scene, evaluated_positions
 from wrinkle_synthesis.wrinkle_addon.bake import BakeJob, SampleShape, bake, finish
 from wrinkle_synthesis.wrinkle_addon.blender import panels, playback
 from wrinkle_synthesis.wrinkle_addon.blender.character import sampling_stage
@@ -28,17 +27,12 @@ HALF = Sample("elbow_L", (1,))
 
 
 @pytest.fixture
-def arm(bumps: Bumps, database: Path, tmp_path: Path) -> Arm:
-    """A played arm with a database of its own, and undo as in the window."""
-    folder = shutil.copytree(database, tmp_path / "sleeve.wrinkles")
-    empty_scene()
-    bpy.context.preferences.edit.use_global_undo = True
-    arm = build_arm("", folder)
-    bpy.context.view_layer.objects.active = arm.sleeve
-    arm.sleeve.wrinkles.ghost.angles = (np.radians(50.0), 0.0, 0.0)
-    arm.bend(np.pi / 4)
+def arm(undoable_arm: Arm) -> Arm:
+    """A bent arm whose ghost is at the sample to be corrected."""
+    undoable_arm.sleeve.wrinkles.ghost.angles = (np.radians(50.0), 0.0, 0.0)
+    undoable_arm.bend(np.pi / 4)
     bpy.context.view_layer.update()
-    return arm
+    return undoable_arm
 
 
 def correct(height: float, **options: object) -> None:

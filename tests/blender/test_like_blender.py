@@ -14,7 +14,7 @@ from dolls import doll
 from fake_layout import draw
 from figures import build_figure
 from file_contents import differences, file_contents
-from small_character import TOLERANCE, Arm, Bumps, build_arm, empty_scene, evaluated_positions
+from small_character import TOLERANCE, Arm, Bumps, empty_scene, evaluated_positions
 from wrinkle_synthesis.wrinkle_addon.blender import playback
 from wrinkle_synthesis.wrinkle_addon.blender.character import apply
 from wrinkle_synthesis.wrinkle_addon.blender.handlers import HANDLERS
@@ -24,15 +24,8 @@ Shape = Callable[[np.ndarray], bool]
 
 
 @pytest.fixture
-def arm(bumps: Bumps, database: Path, tmp_path: Path) -> Arm:
-    """A played arm with a database of its own, an animation, and undo as in the window."""
-    folder = shutil.copytree(database, tmp_path / "sleeve.wrinkles")
-    empty_scene()
-    bpy.context.preferences.edit.use_global_undo = True
-    arm = build_arm("", folder)
-    bpy.context.view_layer.objects.active = arm.sleeve
-    bpy.context.view_layer.update()
-    return arm
+def arm(undoable_arm: Arm) -> Arm:
+    return undoable_arm
 
 
 def shows(ob: bpy.types.Object, expected: np.ndarray, depsgraph: bpy.types.Depsgraph | None = None) -> bool:

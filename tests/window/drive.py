@@ -10,8 +10,11 @@ from __future__ import annotations
 
 import importlib
 import math
+import os
 import sys
 import time
+import traceback
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -20,8 +23,14 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from mouse import Hand, Steps
-from screenplay import BEGAN, PACKAGE, SHOTS, first_start, open_panels, open_sidebar, run, say, wait_for
 
+BEGAN = time.monotonic()
+PACKAGE = "bl_ext.user_default.wrinkle_synthesis"
+SHOTS = Path(sys.argv[sys.argv.index("--") + 1])
+LONG = 600.0
+"""What anything may take on a slow machine [s]."""
+
+first_start = importlib.import_module(f"{PACKAGE}.wrinkle_addon.blender.first_start").first_start
 file_process = importlib.import_module(f"{PACKAGE}.wrinkle_addon.blender.file_process")
 playback = importlib.import_module(f"{PACKAGE}.wrinkle_addon.blender.playback")
 inspection = importlib.import_module(f"{PACKAGE}.wrinkle_addon.blender.inspection")
@@ -53,6 +62,18 @@ def animate() -> None:
     for frame, angle in ((1, 0.0), (20, -80.0)):
         bone.rotation_euler = (0.0, 0.0, math.radians(angle))
         bone.keyframe_insert("rotation_euler", frame=frame)
+
+
+def open_sidebar(hand: Hand) -> Steps:
+    """The 3D view as large as it goes, with our tab in front."""
+    with bpy.context.temp_override(window=hand.window, area=hand.area):
+        hand.area.spaces.active.show_region_ui = True
+    yield 0.8
+    hand.region("UI").active_panel_category = "Wrinkle"
+    with bpy.context.temp_override(window=hand.window, area=hand.area, region=hand.region("WINDOW")):
+        bpy.ops.view3d.view_axis(type="FRONT")
+        bpy.ops.view3d.view_all()
+    yield 0.8
 
 
 def set_up(hand: Hand) -> Steps:
@@ -105,6 +126,7 @@ def bake(hand: Hand) -> Steps:
     yield from hand.shoot("sidebar_baking", sidebar=True)
     yield from wait_for(lambda: not file_process.running, "the bake ends")
     assert settings.enabled
+    yield from until_played()
     say(f"the first wrinkled frame came {time.monotonic() - BEGAN:.0f} s after Blender's start, quick bake included")
     yield from hand.shoot("baked")
 
@@ -113,6 +135,7 @@ def play(hand: Hand) -> Steps:
     """The space bar plays the animation, and every frame is played here."""
     bpy.context.scene.frame_set(14)
     yield 1.0
+    yield from until_played()
     assert wrinkles() > 1e-3 and not playback.status(garment()).error, playback.status(garment()).error
     assert inspection.findings_of(garment()) is None, "What was found was before the bake."
     yield from hand.shoot("played")
@@ -124,6 +147,11 @@ def play(hand: Hand) -> Steps:
     yield from wait_for(lambda: len(frames) > 10, "the animation plays")
     say(f"playing drew {len(frames)} frames in {time.monotonic() - began:.0f} s, without a graphics card")
     yield from hand.press("space")
+
+
+def until_played() -> Steps:
+    """A database is bound behind the window; until then the garment is skinned."""
+    yield from wait_for(lambda: playback.status(garment()).plays, "the database is bound")
 
 
 def wrinkles() -> float:
@@ -164,6 +192,7 @@ def cancel_a_bake(hand: Hand) -> Steps:
     yield from hand.shoot("cancelled")
     settings.database = settings.database.replace("_other", "")
     yield 1.0
+    yield from until_played()
     assert wrinkles() > 1e-3
 
 
@@ -266,4 +295,57 @@ def preferences(hand: Hand) -> Steps:
     yield from hand.shoot("preferences")
 
 
-run(the_first_day, ("Getting Ready", "Character", "Check", "Joints", "Plan", "Bake", "Play"))
+def wait_for(condition: Callable[[], object], what: str) -> Steps:
+    until = time.monotonic() + LONG
+    while not condition():
+        assert time.monotonic() < until, f"Not within {LONG:.0f} s: {what}."
+        yield 0.1
+
+
+def say(text: str) -> None:
+    print(f"window: {text}", flush=True)
+
+
+def tick(steps: Steps, hand: Hand) -> float:
+    """Go on to the next wait, or leave Blender."""
+    code = 0
+    try:
+        return next(steps)
+    except StopIteration:
+        pass
+    except BaseException:
+        traceback.print_exc()
+        for _ in hand.shoot("failed"):
+            pass
+        code = 1
+    sys.stdout.flush()
+    sys.stderr.flush()
+    first_start.end()
+    os._exit(code)
+
+
+def open_panels(labels: tuple[str, ...]) -> None:
+    """Let these panels start open and the others closed; Blender offers no other hand to it than the mouse's."""
+    package = sys.modules[PACKAGE]
+    package.unregister()
+    first_start.__init__()
+    pending = [bpy.types.Panel]
+    while pending:
+        panel = pending.pop()
+        pending += panel.__subclasses__()
+        if panel.__module__.startswith(PACKAGE) and hasattr(panel, "bl_label"):
+            options = set(getattr(panel, "bl_options", ())) - {"DEFAULT_CLOSED"}
+            panel.bl_options = options | (set() if panel.bl_label in labels else {"DEFAULT_CLOSED"})
+    package.register()
+
+
+def begin() -> None:
+    bpy.context.preferences.view.show_splash = False
+    hand = Hand(SHOTS)
+    steps = the_first_day(hand)
+    bpy.app.timers.register(lambda: tick(steps, hand), first_interval=0.0)
+
+
+bpy.context.preferences.view.show_splash = False
+open_panels(("Getting Ready", "Character", "Check", "Joints", "Plan", "Bake", "Play"))
+bpy.app.timers.register(begin, first_interval=2.0)
