@@ -176,6 +176,10 @@ class Player:
         self._checked = self._inputs = None
         self.coarse.doubt()
 
+    def show_anew(self) -> None:
+        """What was shown last no longer is."""
+        self._inputs = None
+
     def read_pose(self, armature: bpy.types.Object) -> Pose:
         """The pose of the evaluated armature in the metres of the bake."""
         pose = self._reader.read(armature)
@@ -315,6 +319,8 @@ def play_scene(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, *, only_c
             known.error = ""
         except NotReady:
             known.waits, known.error = True, ""
+            if known.player is not None:
+                known.player.show_anew()
             _fall_back(garment)
         except Exception as error:
             if not isinstance(error, ValueError):
