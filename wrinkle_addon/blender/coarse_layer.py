@@ -187,7 +187,8 @@ class CoarseLayer:
         self._place(garment.evaluated_get(depsgraph), positions, from_metres)
 
     def _place(self, worn: bpy.types.Object, positions: NDArray[np.float32], world: FloatArray) -> None:
-        place = np.linalg.inv(np.array(worn.matrix_world, np.float64)) @ world
+        # NumPy's own inverse would wake a second thread, which then spins for longer than a frame may take.
+        place = np.array(worn.matrix_world.inverted_safe(), np.float64) @ world
         self._layer.host[:] = positions @ place[:3, :3].T.astype(np.float32) + place[:3, 3].astype(np.float32)
         self._layer.upload()
         self.follow = float(worn.wrinkles.follow)
