@@ -253,6 +253,10 @@ class CoarseBinding:
         """Look at meshes and caches again: the file's data was replaced."""
         self._doubted = True
 
+    def waiting(self, frame: float) -> CoarseLayer | None:
+        """The layer as bound last, if a frame has to wait for its simulation."""
+        return None if self._simulated is None or self._simulated.holds(frame) else self._layer
+
     @property
     def note(self) -> str:
         """What is missing or doubtful, for the panel; empty if nothing is."""

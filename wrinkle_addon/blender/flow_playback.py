@@ -119,6 +119,9 @@ class FlowPlayer(playback.Player):
     def doubt(self) -> None:
         self._checked = self._inputs = None
 
+    def begin(self, garment: bpy.types.Object, pose: Pose, depsgraph: bpy.types.Depsgraph) -> None:
+        """A flow waits for nothing."""
+
     def play(
         self, garment: bpy.types.Object, pose: Pose, depsgraph: bpy.types.Depsgraph, *, only_changes: bool = False
     ) -> None:

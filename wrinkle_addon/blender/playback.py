@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,7 @@ from ..database import WrinkleDatabase
 from ..folder_verbs import choose_device
 from ..joint_wrinkles import BlendWeights, Formulation, JointWrinkles
 from ..rig import FloatArray, Pose
+from ..threads import Ahead
 from .armature import PoseReader, rig_scale
 from .clearance import BodyClearance, Worn
 from .coarse_layer import CoarseBinding
@@ -106,6 +108,7 @@ class Player:
         self._positions = wp.zeros(self._evaluator.vertex_count, dtype=wp.vec3, device=device)
         self._clearance = BodyClearance(Worn.of_database(self.database), device)
         self._inner_clearance = InnerClearance(self.database, device)
+        self._synthesis: Ahead | None = None
         on_cpu = self._positions.device.is_cpu
         self._host = self._positions if on_cpu else wp.zeros_like(self._positions, device="cpu", pinned=True)
         self._host_view: NDArray[np.float32] = self._host.numpy()
@@ -160,6 +163,17 @@ class Player:
         pose.matrices[:, :3, 3] *= self._to_bake
         return pose
 
+    def begin(self, garment: bpy.types.Object, pose: Pose, depsgraph: bpy.types.Depsgraph) -> None:
+        """Begin on another thread with what :meth:`play` needs that waits for no simulation; then it must be called."""
+        layer = self.coarse.waiting(depsgraph.scene.frame_current_final)
+        # What a GPU does, nobody waits for anyway.
+        if layer is None or not self._positions.device.is_cpu:
+            return
+        evaluated = garment.evaluated_get(depsgraph)
+        placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
+        arguments = pose, self._positions, evaluated.wrinkles.strengths(), placement
+        self._synthesis = Ahead(partial(layer.wrinkles.synthesise, *arguments))
+
     def play(
         self, garment: bpy.types.Object, pose: Pose, depsgraph: bpy.types.Depsgraph, *, only_changes: bool = False
     ) -> None:
@@ -175,7 +189,10 @@ class Player:
         placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
         strengths = evaluated.wrinkles.strengths()
         frame = depsgraph.scene.frame_current_final
-        layer = self.coarse.read(garment, depsgraph, self._evaluator, live=not only_changes)
+        try:
+            layer = self.coarse.read(garment, depsgraph, self._evaluator, live=not only_changes)
+        finally:
+            self._finish_synthesis()
         full = depsgraph.mode == "RENDER" or garment.wrinkles.viewport_detail == "FULL"
         wanted = full and garment.wrinkles.clear_of_body
         body = self._clearance.read(garment, depsgraph, pose, placement, wanted=wanted)
@@ -197,6 +214,12 @@ class Player:
         show_positions(garment, self._host_view, frame)
         let_rest(garment, evaluated)
         self._inputs = inputs
+
+    def _finish_synthesis(self) -> None:
+        """Wait for what was begun; the arrays that it reads and writes are free again."""
+        begun, self._synthesis = self._synthesis, None
+        if begun is not None:
+            begun.finish()
 
     def _placement(self, garment: bpy.types.Object, armature: bpy.types.Object) -> FloatArray:
         """Matrix from rig space [m] to the garment's object space, shape [4, 4]; both objects evaluated."""
@@ -274,25 +297,44 @@ def play_scene(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, *, only_c
     """
     if not first_start.is_over:
         return []
-    errors = []
+    errors: list[str] = []
     poses: dict[object, Pose] = {}
     garments = [ob for ob in _objects(scene) if ob.type == "MESH" and ob.wrinkles.enabled]
     for known in _statuses.values():
         known.plays = False
+    playing: list[tuple[bpy.types.Object, Status, Player, Pose]] = []
     for garment in sorted(garments, key=_layer_number):
         known = _statuses.setdefault(garment.session_uid, Status())
-        try:
-            known.plays = _play_garment(garment, known, depsgraph, poses, only_changes)
-            known.error = ""
-        except Exception as error:
-            if not isinstance(error, ValueError):
-                traceback.print_exc()
-            known.error = _sentence(error)
-            errors.append(known.error)
-            _fall_back(garment)
+        with _falling_back(garment, known, errors):
+            if (player := _ready_player(garment, known, depsgraph)) is None:
+                continue
+            if player.rig_key not in poses:
+                poses[player.rig_key] = player.read_pose(garment.wrinkles.armature.evaluated_get(depsgraph))
+            pose = poses[player.rig_key]
+            if not only_changes:
+                player.begin(garment, pose, depsgraph)
+            playing.append((garment, known, player, pose))
+    for garment, known, player, pose in playing:
+        with _falling_back(garment, known, errors):
+            player.play(garment, pose, depsgraph, only_changes=only_changes)
+            known.plays = True
     if len(_statuses) > len(garments):
         _forget_removed()
     return errors
+
+
+@contextmanager
+def _falling_back(garment: bpy.types.Object, known: Status, errors: list[str]) -> Iterator[None]:
+    """Let a garment show its skinned shape if this fails, and note why."""
+    try:
+        yield
+        known.error = ""
+    except Exception as error:
+        if not isinstance(error, ValueError):
+            traceback.print_exc()
+        known.error = _sentence(error)
+        errors.append(known.error)
+        _fall_back(garment)
 
 
 def _objects(scene: bpy.types.Scene | None) -> Iterator[bpy.types.Object]:
@@ -302,24 +344,18 @@ def _objects(scene: bpy.types.Scene | None) -> Iterator[bpy.types.Object]:
         scene = scene.background_set
 
 
-def _play_garment(
-    garment: bpy.types.Object,
-    known: Status,
-    depsgraph: bpy.types.Depsgraph,
-    poses: dict[object, Pose],
-    only_changes: bool,
-) -> bool:
-    """Play one garment; returns whether a player shows it."""
+def _ready_player(garment: bpy.types.Object, known: Status, depsgraph: bpy.types.Depsgraph) -> Player | None:
+    """A garment's player, ready to play it in this frame; None if none is to show it."""
     if garment.data.is_editmode:
         # The artist edits the skinned garment; whatever comes out of edit mode is looked at again.
         _doubt(known)
         show_skinned(garment)
-        return False
+        return None
     if not garment.evaluated_get(depsgraph).is_evaluated:
-        return False
+        return None
     if not _is_shown(garment, depsgraph) or is_culled(garment, depsgraph):
         wake_skinning(garment)
-        return False
+        return None
     source = garment.wrinkles.flow.source() or Source.of(garment)
     armature = garment.wrinkles.armature.evaluated_get(depsgraph)
     if not armature.is_evaluated:
@@ -329,10 +365,7 @@ def _play_garment(
         )
     player = _player(garment, source, known)
     player.check(garment)
-    if player.rig_key not in poses:
-        poses[player.rig_key] = player.read_pose(armature)
-    player.play(garment, poses[player.rig_key], depsgraph, only_changes=only_changes)
-    return True
+    return player
 
 
 def _is_shown(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
