@@ -29,8 +29,8 @@ from outfit import SHELL, Outfit, dress, make_plan, write_database
 from wrinkle_synthesis.wrinkle_addon.database import WrinkleDatabase
 from wrinkle_synthesis.wrinkle_addon.joint_wrinkles import Formulation, JointWrinkles, corner_nodes, find_cell
 from wrinkle_synthesis.wrinkle_addon.method import LEAST_SPLIT, Evaluator
-from wrinkle_synthesis.wrinkle_addon.threads import THREADS
 from wrinkle_synthesis.wrinkle_addon.rig import Pose
+from wrinkle_synthesis.wrinkle_addon.threads import THREADS
 
 VERTICES, FRAMES, PASSES = 46_500, 12, 8
 MOST_TIMES_BANDWIDTH = {"cpu": 16.0, "cuda": 2.0}

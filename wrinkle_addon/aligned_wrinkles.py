@@ -100,9 +100,7 @@ class _Synthesised:
     strengths: dict[str, float]
     placement: FloatArray | None
 
-    def is_of(
-        self, pose: Pose, out: wp.array, strengths: Mapping[str, float], placement: FloatArray | None
-    ) -> bool:
+    def is_of(self, pose: Pose, out: wp.array, strengths: Mapping[str, float], placement: FloatArray | None) -> bool:
         return (
             self.pose is pose
             and self.out is out
