@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
 import warp as wp
 
 from .cloth_model import FloatArray, IntArray
@@ -60,7 +59,7 @@ class AlignedWrinkles:
             self._evaluator.evaluate_apart(pose, self.groups, self._meshes, strengths, placement)
         else:
             self._evaluator.evaluate(pose, out, strengths, placement)
-        self._synthesised = _Synthesised(pose, out, dict(strengths), placement)
+        self._synthesised = _Synthesised(pose, out, dict(strengths), _bytes_of(placement))
 
     def evaluate(
         self,
@@ -98,12 +97,16 @@ class _Synthesised:
     pose: Pose
     out: wp.array
     strengths: dict[str, float]
-    placement: FloatArray | None
+    placement: bytes
 
     def is_of(self, pose: Pose, out: wp.array, strengths: Mapping[str, float], placement: FloatArray | None) -> bool:
         return (
             self.pose is pose
             and self.out is out
             and self.strengths == dict(strengths)
-            and (self.placement is placement or np.array_equal(self.placement, placement))
+            and self.placement == _bytes_of(placement)
         )
+
+
+def _bytes_of(placement: FloatArray | None) -> bytes:
+    return b"" if placement is None else placement.tobytes()
