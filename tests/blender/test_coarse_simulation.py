@@ -406,6 +406,19 @@ def test_an_error_on_another_thread_is_told_and_the_next_frame_plays_again(
 
 
 @pytest.mark.usefixtures("window")
+def test_no_frame_wakes_a_thread_of_numpys(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+    play(1, 2)
+
+    def wake(*matrices: Any) -> None:
+        raise AssertionError("A thread of the BLAS now spins for longer than a frame.")
+
+    for name in ("inv", "solve"):
+        monkeypatch.setattr(np.linalg, name, wake)
+    play(3)
+    assert note() == ""
+
+
+@pytest.mark.usefixtures("window")
 def test_playing_goes_on_where_a_bake_ended(wrinkle, file: Path) -> None:
     wrinkle("simulate", file, "--frames", "1:3")
     play(2)

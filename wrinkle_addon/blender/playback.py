@@ -185,14 +185,14 @@ class Player:
             depsgraph: Whence placement, strengths (which may be animated) and frame come.
             only_changes: Do nothing if all that decides the result is as it was.
         """
-        evaluated = garment.evaluated_get(depsgraph)
-        placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
-        strengths = evaluated.wrinkles.strengths()
-        frame = depsgraph.scene.frame_current_final
         try:
             layer = self.coarse.read(garment, depsgraph, self._evaluator, live=not only_changes)
         finally:
             self._finish_synthesis()
+        evaluated = garment.evaluated_get(depsgraph)
+        placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
+        strengths = evaluated.wrinkles.strengths()
+        frame = depsgraph.scene.frame_current_final
         full = depsgraph.mode == "RENDER" or garment.wrinkles.viewport_detail == "FULL"
         wanted = full and garment.wrinkles.clear_of_body
         body = self._clearance.read(garment, depsgraph, pose, placement, wanted=wanted)
