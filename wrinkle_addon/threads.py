@@ -16,6 +16,19 @@ THREADS = cpu_count() or 1
 """Threads that work at a time, the calling one among them."""
 
 _others = ThreadPoolExecutor(max(THREADS - 1, 1), "wrinkle")
+_busy: list[None] = []
+"""An entry for each of the other threads that is at work."""
+
+
+def _on_another(act: Callable[[], object]) -> Future:
+    def work() -> object:
+        _busy.append(None)
+        try:
+            return act()
+        finally:
+            _busy.pop()
+
+    return _others.submit(work)
 
 
 def run_side_by_side(acts: Sequence[Callable[[], object]], threads: int = THREADS) -> None:
@@ -34,7 +47,9 @@ def run_side_by_side(acts: Sequence[Callable[[], object]], threads: int = THREAD
         for act in waiting:
             act()
 
-    helpers = [_others.submit(work) for _ in range(min(threads, len(acts)) - 1)]
+    # To ask a busy thread for help, and then do without, takes longer than many an act.
+    asked = min(threads, len(acts)) - 1 if len(_busy) < THREADS - 1 else 0
+    helpers = [_on_another(work) for _ in range(asked)]
     try:
         work()
     finally:
@@ -44,11 +59,11 @@ def run_side_by_side(acts: Sequence[Callable[[], object]], threads: int = THREAD
 
 
 class Ahead:
-    """An act that may begin on another thread now, and is needed later."""
+    """An act that may begin on another thread now, unless it is kept for this one, and is needed later."""
 
-    def __init__(self, act: Callable[[], object]):
+    def __init__(self, act: Callable[[], object], *, kept: bool = False):
         self._act = act
-        self._future: Future | None = _others.submit(act) if THREADS > 1 else None
+        self._future: Future | None = _on_another(act) if THREADS > 1 and not kept else None
 
     def finish(self) -> None:
         """Come back when the act is done; once.

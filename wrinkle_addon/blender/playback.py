@@ -7,10 +7,11 @@ valid; they are found by the garment object's session_uid, which outlives undo a
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,10 +28,10 @@ from ..threads import Ahead
 from .armature import PoseReader, rig_scale
 from .clearance import BodyClearance, Worn
 from .coarse_layer import CoarseBinding
-from .culling import is_culled
+from .culling import is_culled, is_shown
 from .first_start import first_start
 from .inner_clearance import InnerClearance, InnerGarment, garments_under
-from .matching import check_mesh, match_rig
+from .matching import check_mesh, glance_at, match_rig
 from .node_group import find_modifier, shows_all
 from .preferences import device_name
 from .render_lock import lock_interface
@@ -72,6 +73,21 @@ class Source:
 
     def player(self, garment: bpy.types.Object) -> Player:
         return Player(garment, self)
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """A garment's turn in a frame.
+
+    Attributes:
+        compute: Writes its positions; of arrays alone, so that it may run on any thread.
+        frame: The scene's, with its fraction.
+        inputs: All that decides the result.
+    """
+
+    compute: Callable[[], None]
+    frame: float
+    inputs: tuple[object, ...]
 
 
 class Player:
@@ -130,6 +146,11 @@ class Player:
         return " ".join(filter(None, (self._clearance.note, self._inner_clearance.note)))
 
     @property
+    def on_cpu(self) -> bool:
+        """Whether other threads of the CPU help it; what a GPU does, nobody waits for anyway."""
+        return self._positions.device.is_cpu
+
+    @property
     def positions(self) -> NDArray[np.float32]:
         """The garment as played last, in its object space, shape [vertex_count, 3]."""
         return self._host_view
@@ -164,26 +185,28 @@ class Player:
         return pose
 
     def begin(self, garment: bpy.types.Object, pose: Pose, depsgraph: bpy.types.Depsgraph) -> None:
-        """Begin on another thread with what :meth:`play` needs that waits for no simulation; then it must be called."""
+        """Begin on another thread with what waits for no simulation; :meth:`read` must be called then."""
         layer = self.coarse.waiting(depsgraph.scene.frame_current_final)
-        # What a GPU does, nobody waits for anyway.
-        if layer is None or not self._positions.device.is_cpu:
+        if layer is None or not self.on_cpu:
             return
         evaluated = garment.evaluated_get(depsgraph)
         placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
         arguments = pose, self._positions, evaluated.wrinkles.strengths(), placement
         self._synthesis = Ahead(partial(layer.wrinkles.synthesise, *arguments))
 
-    def play(
+    def read(
         self, garment: bpy.types.Object, pose: Pose, depsgraph: bpy.types.Depsgraph, *, only_changes: bool = False
-    ) -> None:
-        """Show the garment in a pose.
+    ) -> Turn | None:
+        """Read what decides how the garment lies in a pose.
 
         Args:
             garment: The original garment object.
             pose: From :meth:`read_pose`.
             depsgraph: Whence placement, strengths (which may be animated) and frame come.
-            only_changes: Do nothing if all that decides the result is as it was.
+            only_changes: Whether there is nothing to do if all of that is as it was.
+
+        Returns:
+            What writes its positions, for :meth:`show` to show; None if there is nothing to do.
         """
         try:
             layer = self.coarse.read(garment, depsgraph, self._evaluator, live=not only_changes)
@@ -202,18 +225,25 @@ class Player:
         decided = (strengths, frame, coarse, around, garment.wrinkles.clearance, full)
         inputs = (pose.matrices.tobytes(), placement.tobytes(), *decided)
         if only_changes and inputs == self._inputs:
-            return
-        (layer or self._evaluator).evaluate(pose, self._positions, strengths, placement)
-        if body is not None:
-            self._clearance.clear(body, self._positions, placement)
-        if inner is not None:
-            self._inner_clearance.clear(inner, self._positions, placement)
+            return None
+
+        def compute() -> None:
+            (layer or self._evaluator).evaluate(pose, self._positions, strengths, placement)
+            if body is not None:
+                self._clearance.clear(body, self._positions, placement)
+            if inner is not None:
+                self._inner_clearance.clear(inner, self._positions, placement)
+
+        return Turn(compute, frame, inputs)
+
+    def show(self, garment: bpy.types.Object, turn: Turn, depsgraph: bpy.types.Depsgraph) -> None:
+        """Show the garment as a turn has computed it."""
         if self._host is not self._positions:
             wp.copy(self._host, self._positions)
             wp.synchronize_device(self._positions.device)
-        show_positions(garment, self._host_view, frame)
-        let_rest(garment, evaluated)
-        self._inputs = inputs
+        show_positions(garment, self._host_view, turn.frame)
+        let_rest(garment, garment.evaluated_get(depsgraph))
+        self._inputs = turn.inputs
 
     def _finish_synthesis(self) -> None:
         """Wait for what was begun; the arrays that it reads and writes are free again."""
@@ -227,15 +257,6 @@ class Player:
         placement = np.array(garment.matrix_world.inverted_safe() @ armature.matrix_world, np.float64)
         placement[:, :3] /= self._scale
         return placement
-
-
-def glance_at(garment: bpy.types.Object) -> tuple[object, ...]:
-    """What tells a changed mesh or rig at a glance; what edit mode does to a mesh besides is found on leaving it."""
-    mesh, bones = garment.data, garment.wrinkles.armature.data.bones
-    rest = np.empty(16 * len(bones), np.float32)
-    bones.foreach_get("matrix_local", rest)
-    counts = len(mesh.vertices), len(mesh.edges), len(mesh.polygons), len(mesh.loops)
-    return mesh.session_uid, *counts, *bones.keys(), rest.tobytes()
 
 
 # --- the players of this session ----------------------------------------------------------------------------------
@@ -302,7 +323,7 @@ def play_scene(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, *, only_c
     garments = [ob for ob in _objects(scene) if ob.type == "MESH" and ob.wrinkles.enabled]
     for known in _statuses.values():
         known.plays = False
-    playing: list[tuple[bpy.types.Object, Status, Player, Pose]] = []
+    playing: list[_Playing] = []
     for garment in sorted(garments, key=_layer_number):
         known = _statuses.setdefault(garment.session_uid, Status())
         with _falling_back(garment, known, errors):
@@ -314,13 +335,35 @@ def play_scene(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, *, only_c
             if not only_changes:
                 player.begin(garment, pose, depsgraph)
             playing.append((garment, known, player, pose))
-    for garment, known, player, pose in playing:
-        with _falling_back(garment, known, errors):
-            player.play(garment, pose, depsgraph, only_changes=only_changes)
-            known.plays = True
+    # An outer garment is pushed out of an inner one as that is shown; else none waits for another.
+    for _, together in groupby(playing, lambda one: _layer_number(one[0])):
+        _play_together(list(together), depsgraph, errors, only_changes)
     if len(_statuses) > len(garments):
         _forget_removed()
     return errors
+
+
+_Playing = tuple[bpy.types.Object, Status, Player, Pose]
+
+
+def _play_together(
+    playing: list[_Playing], depsgraph: bpy.types.Depsgraph, errors: list[str], only_changes: bool
+) -> None:
+    """Play garments that do not wait for each other: what is computed, on any thread, all else on this one."""
+    turns: list[tuple[bpy.types.Object, Status, Player, Turn]] = []
+    for garment, known, player, pose in playing:
+        with _falling_back(garment, known, errors):
+            turn = player.read(garment, pose, depsgraph, only_changes=only_changes)
+            known.plays = turn is None
+            if turn is not None:
+                turns.append((garment, known, player, turn))
+    # The first one is this thread's own.
+    begun = [Ahead(turn.compute, kept=k == 0 or not player.on_cpu) for k, (*_, player, turn) in enumerate(turns)]
+    for (garment, known, player, turn), work in zip(turns, begun, strict=True):
+        with _falling_back(garment, known, errors):
+            work.finish()
+            player.show(garment, turn, depsgraph)
+            known.plays = True
 
 
 @contextmanager
@@ -353,7 +396,7 @@ def _ready_player(garment: bpy.types.Object, known: Status, depsgraph: bpy.types
         return None
     if not garment.evaluated_get(depsgraph).is_evaluated:
         return None
-    if not _is_shown(garment, depsgraph) or is_culled(garment, depsgraph):
+    if not is_shown(garment, depsgraph) or is_culled(garment, depsgraph):
         wake_skinning(garment)
         return None
     source = garment.wrinkles.flow.source() or Source.of(garment)
@@ -366,21 +409,6 @@ def _ready_player(garment: bpy.types.Object, known: Status, depsgraph: bpy.types
     player = _player(garment, source, known)
     player.check(garment)
     return player
-
-
-def _is_shown(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether its own eye and that of its modifier are open; a garment without one will get one."""
-    modifier = find_modifier(garment)
-    if depsgraph.mode == "RENDER":
-        return modifier is None or modifier.show_render
-    if modifier is not None and not modifier.show_viewport:
-        return False
-    return not garment.hide_get(view_layer=depsgraph.view_layer) or _is_needed(garment)
-
-
-def _is_needed(garment: bpy.types.Object) -> bool:
-    """Whether another object follows a garment that is hidden, by a modifier or a constraint."""
-    return any(isinstance(user, bpy.types.Object) for user in bpy.data.user_map(subset=[garment])[garment])
 
 
 def let_rest(garment: bpy.types.Object, evaluated: bpy.types.Object) -> None:
