@@ -7,7 +7,6 @@ Every frame of a spin kick is another pose, so that the joints keep changing cel
 # pyright: reportMissingImports=false
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -31,6 +30,7 @@ from wrinkle_synthesis.wrinkle_addon.database import WrinkleDatabase
 from wrinkle_synthesis.wrinkle_addon.joint_wrinkles import Formulation, JointWrinkles, corner_nodes, find_cell
 from wrinkle_synthesis.wrinkle_addon.method import LEAST_SPLIT, Evaluator
 from wrinkle_synthesis.wrinkle_addon.rig import Pose
+from wrinkle_synthesis.wrinkle_addon.threads import THREADS
 
 VERTICES, FRAMES, PASSES = 46_500, 12, 8
 MOST_TIMES_BANDWIDTH = {"cpu": 16.0, "cuda": 2.0}
@@ -114,7 +114,7 @@ def measure(outfit: Outfit, database: WrinkleDatabase, report: Report) -> None:
     poses = outfit.poses()
     method = JointWrinkles(database)
     count = method.vertex_count
-    threads = max(1, min(os.cpu_count() or 1, count // LEAST_SPLIT))
+    threads = max(1, min(THREADS, count // LEAST_SPLIT))
     evaluator, whole = synthesis(method, poses, options.device)
     _, skinned = synthesis(method, poses, options.device, strength=0.0)
     _, paper = synthesis(JointWrinkles(database, Formulation.PAPER), poses, options.device)

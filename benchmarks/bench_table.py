@@ -3,9 +3,9 @@
 A man in a long shirt and trousers of 46,000 vertices, both over a coarse simulation, and a woman in a short shirt and
 cropped trousers of 34,000 vertices, of which the trousers alone follow one (W52). Frames are whole ones, live, as the
 window plays them: frame_set with all its handlers, which simulate the coarse layers and store them, and reading the
-garments. Each part is timed where it happens, parts within it left out; what is left over is Blender's own. Wrinkles
-are samples made of formulas, as many and as large as the paper's plan asks for: what a frame takes does not depend on
-their shapes.
+garments. Each part is timed by the clock where the frame waits for it, parts within it left out; what is left over is
+Blender's own. What another thread does meanwhile, nobody waits for; it is told besides. Wrinkles are samples made of
+formulas, as many and as large as the paper's plan asks for: what a frame takes does not depend on their shapes.
 """
 
 # pyright: reportMissingImports=false
@@ -14,6 +14,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -87,20 +88,32 @@ SEQUENCES = {
 
 @dataclass
 class Stopwatch:
-    """Time spent in parts of the program, what parts within them take left out [s]: processor time, and the clock's.
+    """Time spent in parts of the program by the clock of the main thread, what parts within them take left out [s].
 
     Attributes:
-        frames: What each part took in each frame so far, shape [2].
+        frames: What each part took in each frame so far.
+        meanwhile: Processor time of each part on other threads, in all frames.
+        processor: Processor time of all threads in each frame.
     """
 
-    frames: list[dict[str, np.ndarray]] = field(default_factory=list)
-    _open: list[np.ndarray] = field(default_factory=list)
+    frames: list[dict[str, float]] = field(default_factory=list)
+    meanwhile: dict[str, float] = field(default_factory=dict)
+    processor: list[float] = field(default_factory=list)
+    _open: list[float] = field(default_factory=list)
 
-    def begin_frame(self) -> None:
-        self.frames.append({part: np.zeros(2) for part in PARTS})
+    def clear(self) -> None:
+        self.frames.clear()
+        self.meanwhile.clear()
+        self.processor.clear()
+
+    def time_frame(self, act: Callable[[], Any]) -> None:
+        self.frames.append(dict.fromkeys(PARTS, 0.0))
+        started = time.process_time()
+        self.time(BLENDER, act)
+        self.processor.append(time.process_time() - started)
 
     def milliseconds(self) -> dict[str, np.ndarray]:
-        """Of each part in every frame, shape [frame_count, 2]."""
+        """Of each part in every frame, shape [frame_count]."""
         return {part: 1e3 * np.array([frame[part] for frame in self.frames]) for part in PARTS}
 
     def watch(self, part: str, owner: Any, name: str) -> None:
@@ -113,21 +126,26 @@ class Stopwatch:
         setattr(owner, name, timed)
 
     def time(self, part: str, act: Callable[[], Any]) -> Any:
-        self._open.append(np.zeros(2))
-        started = _now()
+        if threading.current_thread() is not threading.main_thread():
+            return self._time_meanwhile(part, act)
+        self._open.append(0.0)
+        started = time.perf_counter()
         try:
             return act()
         finally:
-            passed = _now() - started
+            passed = time.perf_counter() - started
             within = self._open.pop()
             if self.frames:
                 self.frames[-1][part] += passed - within
             if self._open:
                 self._open[-1] += passed
 
-
-def _now() -> np.ndarray:
-    return np.array([time.process_time(), time.perf_counter()])
+    def _time_meanwhile(self, part: str, act: Callable[[], Any]) -> Any:
+        started = time.thread_time()
+        try:
+            return act()
+        finally:
+            self.meanwhile[part] = self.meanwhile.get(part, 0.0) + time.thread_time() - started
 
 
 def make_motion(frame_count: int) -> Clip:
@@ -192,14 +210,13 @@ def play(garments: list[bpy.types.Object], frame_count: int, stopwatch: Stopwatc
         coarse_playing.grant_wishes()
     handlers.begin_animation()
     show(garments, 1)
-    stopwatch.frames.clear()
+    stopwatch.clear()
     for frame in range(2, frame_count + 1):
-        stopwatch.begin_frame()
-        stopwatch.time(BLENDER, lambda frame=frame: show(garments, frame))
+        stopwatch.time_frame(lambda frame=frame: show(garments, frame))
 
 
 def measure(sequence: Sequence, stopwatch: Stopwatch, *, quick: bool) -> dict[str, Any]:
-    """The table's column of one character: milliseconds a frame by part, of processor time and by the clock."""
+    """The table's column of one character: milliseconds a frame by part, by the clock."""
     frame_count = 6 if quick else FRAMES
     with tempfile.TemporaryDirectory() as name:
         garments = open_sequence(sequence, frame_count, Path(name), quick=quick)
@@ -210,30 +227,33 @@ def measure(sequence: Sequence, stopwatch: Stopwatch, *, quick: bool) -> dict[st
     spent = stopwatch.milliseconds()
     whole = np.sum(list(spent.values()), axis=0)
     # Other work on the machine slows every frame down, some less than others.
-    fastest = np.argsort(whole[:, 0])[: max(1, len(whole) // 10)]
+    fastest = np.argsort(whole)[: max(1, len(whole) // 10)]
     return {
         "vertices": sum(len(one.data.vertices) for one in garments),
         "coarse_vertices": layers,
         "frames": frame_count,
-        "part_ms": {part: float(ms[:, 0].mean()) for part, ms in spent.items()},
-        "part_fastest_ms": {part: float(ms[fastest, 0].mean()) for part, ms in spent.items()},
-        "part_clock_ms": {part: float(ms[:, 1].mean()) for part, ms in spent.items()},
-        "frame_ms": float(whole[:, 0].mean()),
-        "frame_fastest_ms": float(whole[fastest, 0].mean()),
-        "frame_clock_ms": float(whole[:, 1].mean()),
+        "part_ms": {part: float(ms.mean()) for part, ms in spent.items()},
+        "part_fastest_ms": {part: float(ms[fastest].mean()) for part, ms in spent.items()},
+        "meanwhile_ms": {part: 1e3 * seconds / len(whole) for part, seconds in stopwatch.meanwhile.items()},
+        "frame_ms": float(whole.mean()),
+        "frame_fastest_ms": float(whole[fastest].mean()),
+        "processor_ms": 1e3 * float(np.mean(stopwatch.processor)),
     }
 
 
 def add_table(report: Report, name: str, column: dict[str, Any]) -> None:
     paper = SEQUENCES[name].paper
-    rows = [["", "processor time", "the fastest tenth", "by the clock", "the paper"]]
+    rows = [["", "by the clock", "the fastest tenth", "the paper"]]
     for part in PARTS:
-        spent = (column[kind][part] for kind in ("part_ms", "part_fastest_ms", "part_clock_ms"))
+        spent = (column[kind][part] for kind in ("part_ms", "part_fastest_ms"))
         published = milliseconds(1e-3 * paper[part]) if part in paper else ""
         rows.append([part, *(milliseconds(1e-3 * ms) for ms in spent), published])
-    whole = (column["frame_ms"], column["frame_fastest_ms"], column["frame_clock_ms"], paper["total"])
+    whole = (column["frame_ms"], column["frame_fastest_ms"], paper["total"])
     rows.append(["whole frame", *(milliseconds(1e-3 * ms) for ms in whole)])
     rows.append(["frames a second", *(f"{1e3 / ms:.1f}" for ms in whole)])
+    for part, ms in column["meanwhile_ms"].items():
+        rows.append([f"meanwhile, on another thread: {part}", milliseconds(1e-3 * ms), "", ""])
+    rows.append(["processor time of all threads", milliseconds(1e-3 * column["processor_ms"]), "", ""])
     layers = " and ".join(str(count) for count in column["coarse_vertices"])
     report.table(f"{name}: {column['vertices']} vertices over {layers}, {column['frames']} frames", rows)
 
@@ -259,7 +279,7 @@ def main() -> None:
     for name, column in columns.items():
         add_table(report, name, column)
     fps = 1e3 / columns["man"]["frame_ms"]
-    report.target("frames a second of the man, by processor time", fps, LEAST_FPS, at_least=True)
+    report.target("frames a second of the man", fps, LEAST_FPS, at_least=True)
     report.figures |= {
         "fps": fps,
         "frame_ms": columns["man"]["frame_ms"],

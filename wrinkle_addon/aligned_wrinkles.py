@@ -7,6 +7,7 @@ each group's mesh is synthesised alone and aligned alone, and only then they mee
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import warp as wp
 
@@ -45,6 +46,20 @@ class AlignedWrinkles:
         self._transfer = DetailTransfer(match, positions, faces, device=str(evaluator.device))
         count = 1 + len(self.groups) if len(self.groups) > 1 else 0
         self._meshes = wp.zeros((count, len(positions)), dtype=wp.vec3, device=evaluator.device)
+        self._synthesised: _Synthesised | None = None
+
+    def synthesise(
+        self, pose: Pose, out: wp.array, strengths: Mapping[str, float], placement: FloatArray | None = None
+    ) -> None:
+        """What :meth:`evaluate` begins with, which needs no coarse layer; with the same arguments it goes on from here.
+
+        On a CPU this may run on another thread while the coarse layer is found.
+        """
+        if len(self._meshes):
+            self._evaluator.evaluate_apart(pose, self.groups, self._meshes, strengths, placement)
+        else:
+            self._evaluator.evaluate(pose, out, strengths, placement)
+        self._synthesised = _Synthesised(pose, out, dict(strengths), _bytes_of(placement))
 
     def evaluate(
         self,
@@ -65,10 +80,33 @@ class AlignedWrinkles:
             placement: Affine matrix from rig space [m] to the space asked for, shape [4, 4]; rig space if left out.
             follow: How much of the coarse layer's motion the garment takes on, from 0 to 1.
         """
-        if not len(self._meshes):
-            self._evaluator.evaluate(pose, out, strengths, placement)
+        if self._synthesised is None or not self._synthesised.is_of(pose, out, strengths, placement):
+            self.synthesise(pose, out, strengths, placement)
+        self._synthesised = None
+        if len(self._meshes):
+            self._transfer.align_all(coarse, self._meshes, follow)
+            self._transfer.join(self._meshes, out)
+        else:
             self._transfer.align(coarse, out, follow)
-            return
-        self._evaluator.evaluate_apart(pose, self.groups, self._meshes, strengths, placement)
-        self._transfer.align_all(coarse, self._meshes, follow)
-        self._transfer.join(self._meshes, out)
+
+
+@dataclass(frozen=True, eq=False)
+class _Synthesised:
+    """What a garment that lies synthesised, and not aligned yet, was made of."""
+
+    pose: Pose
+    out: wp.array
+    strengths: dict[str, float]
+    placement: bytes
+
+    def is_of(self, pose: Pose, out: wp.array, strengths: Mapping[str, float], placement: FloatArray | None) -> bool:
+        return (
+            self.pose is pose
+            and self.out is out
+            and self.strengths == dict(strengths)
+            and self.placement == _bytes_of(placement)
+        )
+
+
+def _bytes_of(placement: FloatArray | None) -> bytes:
+    return b"" if placement is None else placement.tobytes()

@@ -127,6 +127,8 @@ class CoarseCache:
     spec: CoarseSpec
     first: int
     last: int
+    _written: tuple[int, CoarseFrame] | None = None
+    """The frame that was written last: played as it is simulated, a frame is read at once, by every garment."""
 
     @staticmethod
     def open(folder: Path) -> CoarseCache:
@@ -226,6 +228,8 @@ class CoarseCache:
             raise NotSimulated(
                 f"The coarse simulation in '{self.folder}' {held}, not frame {frame}; simulate {there} it."
             )
+        if self._written is not None and self._written[0] == frame:
+            return self._written[1]
         arrays, metadata = storage.read_arrays(self._path(frame))
         found: dict[str, dict[str, NDArray[Any]]] = {"positions": {}, "motion": {}, "state": {}}
         for name, array in arrays.items():
@@ -267,7 +271,7 @@ class CoarseCache:
         parts = {"positions": content.positions, "motion": content.motion, "state": content.state}
         arrays = {f"{part}/{name}": array for part, values in parts.items() for name, array in values.items()}
         storage.write_arrays(self._path(frame), arrays, {"frame": frame, "report": dict(content.report)})
-        self.last = frame
+        self.last, self._written = frame, (frame, content)
 
     def cut(self, frame: int) -> None:
         """Forget this frame and all after it, the last first, so that what is left never has a gap."""

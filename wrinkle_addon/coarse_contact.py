@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from .cloth_contact import (
     reach_of,
 )
 from .cloth_model import ClothModel, FloatArray, IntArray
+from .threads import THREADS, run_side_by_side
 from .topology import group
 
 NEAR = 0.02
@@ -65,6 +67,7 @@ class CoarseContact:
     ):
         self.settings = settings
         self._device = device
+        self._threads = THREADS if device.is_cpu else 1
         self._model = model
         self._count = model.vertex_count
         self._lift = self._upload(lift, wp.float64)
@@ -116,10 +119,10 @@ class CoarseContact:
         self._body_meshes[0].refit()
         last = skin.last.reshape((1, self._count))
         self._launch_normals(last, self._faces, self._corners, self._face_normals, self._outward)
-        inputs = [positions, self._outward, self._limbs, self.body, self.points, self._reach]
-        self._launch(frame_steps.find_candidates, self._count, inputs, [self.found_from, self.candidate])
+        searches = [partial(self._find_candidates, positions)]
         if self._pair_count:
-            self._find_pairs(positions)
+            searches.append(partial(self._find_pairs, positions))
+        run_side_by_side(searches, self._threads)
 
     # What a step launches; all of it can be recorded.
 
@@ -185,6 +188,10 @@ class CoarseContact:
         inputs = [positions, self.frozen.pair_vertices, self._pairs]
         self._launch(layers.measure_layer_gaps, self._pair_count, inputs, [gap])
         return int((gap.numpy() < 0.0).sum())
+
+    def _find_candidates(self, positions: wp.array) -> None:
+        inputs = [positions, self._outward, self._limbs, self.body, self.points, self._reach]
+        self._launch(frame_steps.find_candidates, self._count, inputs, [self.found_from, self.candidate])
 
     def _find_pairs(self, positions: wp.array) -> None:
         c = self.frozen

@@ -19,6 +19,7 @@ A vertex whose strength is 0 rides on the skinned garment, through the body if n
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,7 @@ from .coarse_layers import CoarseLayer, CoarseReport, CoarseSettings, CoarseStat
 from .divergence import first_lost
 from .elasticity import Elasticity, upload_garment
 from .linear_solver import BlockSystem
+from .threads import THREADS, run_side_by_side
 from .time_integration import step_coefficients
 
 __all__ = ["CoarseLayer", "CoarseReport", "CoarseSettings", "CoarseSimulation", "CoarseState"]
@@ -99,6 +101,7 @@ class CoarseSimulation:
         if not len(body_faces):
             raise ValueError("The body has no faces to collide with.")
         self._body_count = len(body_positions)
+        self._threads = THREADS if self.device.is_cpu else 1
         models = [model_of(layer) for layer in self.layers]
         self.model = models[0] if len(models) == 1 else join_models(models)
         settings = [layer.settings for layer in self.layers]
@@ -118,7 +121,7 @@ class CoarseSimulation:
             self.model, self._garment, self._elasticity, self._contact.frozen, 1, corrected=False
         )
         self._allocate()
-        self._graphs: tuple[wp.Graph, wp.Graph] | None = None
+        self._graphs: list[wp.Graph] = []
         self._last_step: float | None = None
         self.set_gravity([0.0, 0.0, -STANDARD_GRAVITY])
 
@@ -250,12 +253,16 @@ class CoarseSimulation:
     def _launch_step(self, clock: list[float]) -> None:
         """One time step; ``clock`` as :mod:`..kernels.cloth.frame_steps` reads it."""
         self._clock.assign(np.array(clock))
-        if self._graphs is None:
+        if not self._graphs:
             for module in MODULES:  # Nothing may compile while recording.
                 wp.load_module(module, device=self.device)
-            self._graphs = self._recorded(self._record_beginning), self._recorded(self._record_end)
-        beginning, end = self._graphs
-        wp.capture_launch(beginning)
+            stages = self._record_flight, self._record_contact, self._record_elasticity, self._record_system
+            self._graphs = [self._recorded(stage) for stage in (*stages, self._record_end)]
+        flight, contact_, elasticity, system, end = self._graphs
+        wp.capture_launch(flight)
+        # On a GPU the two take turns.
+        run_side_by_side([partial(wp.capture_launch, graph) for graph in (contact_, elasticity)], self._threads)
+        wp.capture_launch(system)
         self._system.iterate(TOLERANCE, ITERATIONS)
         wp.capture_launch(end)
 
@@ -264,17 +271,28 @@ class CoarseSimulation:
             launches()
         return capture.graph
 
-    def _record_beginning(self) -> None:
-        """A step up to its linear system."""
-        motion, contact_, elasticity = self._motion, self._contact, self._elasticity
-        positions = motion.positions
-        elasticity.remember_strain(positions)
-        contact_.launch_move(self._clock)
+    def _record_flight(self) -> None:
+        """Where a step is linearised."""
+        motion = self._motion
+        self._elasticity.remember_strain(motion.positions)
         driven = [motion, self._garment.pin_stiffness, self._inverse_dt2, self._system.solution]
         self._launch(frame_steps.begin_step, [self._skin, self._clock, *driven])
-        contact_.launch_freeze(positions, motion.target, self._clock)
+
+    def _record_contact(self) -> None:
+        """What touches there."""
+        self._contact.launch_move(self._clock)
+        self._contact.launch_freeze(self._motion.positions, self._motion.target, self._clock)
+
+    def _record_elasticity(self) -> None:
+        """How the fabric resists there; it does not know what touches."""
+        self._elasticity.deform(self._motion.positions)
+        self._system.assemble_elasticity(self._motion.positions, self._kept)
+
+    def _record_system(self) -> None:
+        """A step's linear system, of both."""
+        motion, positions = self._motion, self._motion.positions
         self._record_gradient()
-        self._system.assemble(positions, self._inverse_dt2, self._kept)
+        self._system.add_contact(positions, self._inverse_dt2)
         self._system.precondition(positions)
         self._system.hold_vertices(motion.held)
         self._system.launch_begin(self._gradient, self._moving)
@@ -290,7 +308,6 @@ class CoarseSimulation:
 
     def _record_gradient(self) -> None:
         motion, elasticity = self._motion, self._elasticity
-        elasticity.deform(motion.positions)
         inputs = [
             motion.positions,
             self._garment,

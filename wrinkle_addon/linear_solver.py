@@ -90,8 +90,11 @@ class BlockSystem:
         ``kept`` is the share of its compressive stress that each world takes into account, shape [world_count]: 1 for
         the exact Hessian, which may be indefinite, 0 for a positive definite one.
         """
-        if len(self._contact.pair_strength) != len(self.pair_stiffness):
-            self._hold_pairs()
+        self.assemble_elasticity(positions, kept)
+        self.add_contact(positions, inverse_dt2)
+
+    def assemble_elasticity(self, positions: wp.array, kept: wp.array) -> None:
+        """The part of :meth:`assemble` that knows of no contact."""
         elasticity = self._elasticity
         elasticity.linearise(kept)
         wp.launch(
@@ -111,6 +114,11 @@ class BlockSystem:
         )
         for elements in elasticity.elements:
             elements.add_blocks(positions, kept, self.blocks)
+
+    def add_contact(self, positions: wp.array, inverse_dt2: wp.array) -> None:
+        """The rest of :meth:`assemble`: inertia, pins, contact and friction."""
+        if len(self._contact.pair_strength) != len(self.pair_stiffness):
+            self._hold_pairs()
         wp.launch(
             assembly.assemble_diagonal,
             dim=self.shape,

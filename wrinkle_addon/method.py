@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping
 from functools import partial
-from os import cpu_count
 from types import MappingProxyType
 
 import numpy as np
@@ -15,6 +13,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from .rig import Pose
+from .threads import THREADS, run_side_by_side
 
 LEAST_SPLIT = 4_000
 """Vertices below which a launch on the CPU is not worth splitting over threads."""
@@ -83,7 +82,7 @@ class Evaluator(ABC):
 class SplitLaunch:
     """Launches a kernel over blocks of vertices whose first argument is the first block of its part.
 
-    Warp runs a launch on one thread of a CPU but releases Python's lock, so parts run on several threads.
+    On a CPU parts run on several threads.
 
     Args:
         vertex_count: As many vertices as there is work for.
@@ -93,10 +92,9 @@ class SplitLaunch:
     """
 
     def __init__(self, vertex_count: int, device: wp.Device, block_size: int = 1, block_count: int | None = None):
-        self._threads = max(1, min(cpu_count() or 1, vertex_count // LEAST_SPLIT)) if device.is_cpu else 1
+        self._threads = max(1, min(THREADS, vertex_count // LEAST_SPLIT)) if device.is_cpu else 1
         self._block_count = block_count or -(-vertex_count // block_size)
         self._device = device
-        self._pool = ThreadPoolExecutor(self._threads - 1) if self._threads > 1 else None
 
     def _parts(self, count: int) -> list[tuple[int, int]]:
         """First block and number of blocks of so many parts."""
@@ -121,32 +119,19 @@ class SplitLaunch:
 
     def record_parts(self, record: Callable[[int, int], wp.Launch]) -> RecordedLaunch:
         """A launch of which the caller records every part: its first block and its number of blocks."""
-        parts = self._parts(PARTS_EACH * self._threads if self._pool else 1)
-        return RecordedLaunch(self, [record(*part) for part in parts])
+        parts = self._parts(PARTS_EACH * self._threads if self._threads > 1 else 1)
+        return RecordedLaunch(self._threads, [record(*part) for part in parts])
 
     def run(self, act: Callable[[int, int], object]) -> None:
         """Run an act on the first block and the number of blocks of every part."""
-        self.run_all([partial(act, *part) for part in self._parts(self._threads)])
-
-    def run_all(self, acts: Sequence[Callable[[], object]]) -> None:
-        """Run acts, each on whichever thread is free for it."""
-        waiting = iter(acts)
-
-        def work() -> None:
-            for act in waiting:
-                act()
-
-        helpers = [self._pool.submit(work) for _ in range(self._threads - 1)] if self._pool else []
-        work()
-        for helper in helpers:
-            helper.result()
+        run_side_by_side([partial(act, *part) for part in self._parts(self._threads)], self._threads)
 
 
 class RecordedLaunch:
     """A launch that is repeated, with other arguments now and then."""
 
-    def __init__(self, split: SplitLaunch, launches: list[wp.Launch]):
-        self._split = split
+    def __init__(self, threads: int, launches: list[wp.Launch]):
+        self._threads = threads
         self._launches = launches
         self._names = {argument.label for argument in launches[0].kernel.adj.args}
 
@@ -155,4 +140,4 @@ class RecordedLaunch:
         for name in changed.keys() & self._names:
             for launch in self._launches:
                 launch.set_param_by_name(name, changed[name])
-        self._split.run_all([launch.launch for launch in self._launches])
+        run_side_by_side([launch.launch for launch in self._launches], self._threads)

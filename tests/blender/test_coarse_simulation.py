@@ -8,11 +8,14 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
 import pytest
 from small_character import Arm, Bumps, build_arm, empty_scene, evaluated_positions
+from wrinkle_synthesis.wrinkle_addon import threads
+from wrinkle_synthesis.wrinkle_addon.aligned_wrinkles import AlignedWrinkles
 from wrinkle_synthesis.wrinkle_addon.blender import coarse_layer, coarse_playing, playback
 from wrinkle_synthesis.wrinkle_addon.blender.handlers import RENDER_FAILED, suspended
 from wrinkle_synthesis.wrinkle_addon.coarse_cache import CoarseCache
@@ -354,6 +357,65 @@ def test_playing_from_the_first_frame_fills_the_cache(wrinkle, arm: Arm, file: P
     for one, other in zip(live, baked, strict=True):
         for name in one:
             np.testing.assert_array_equal(one[name], other[name])
+
+
+@pytest.mark.usefixtures("window")
+@pytest.mark.parametrize("threads_of", [1, 2])
+def test_any_number_of_threads_shows_the_same_bits(arm: Arm, monkeypatch: pytest.MonkeyPatch, threads_of: int) -> None:
+    monkeypatch.setattr(threads, "THREADS", threads_of)
+    began: list[object] = []
+    act = AlignedWrinkles.synthesise
+
+    def synthesise(self: AlignedWrinkles, *arguments: Any) -> None:
+        began.append(self)
+        act(self, *arguments)
+
+    monkeypatch.setattr(AlignedWrinkles, "synthesise", synthesise)
+    play(1)
+    began.clear()
+    live = []
+    for frame in (2, 3, 4):
+        play(frame)
+        assert note() == ""
+        live.append(evaluated_positions(sleeve()))
+    # Once a frame, while it is simulated.
+    assert len(began) == 3
+    # Read from the cache no frame waits for anything.
+    for frame, positions in zip((2, 3, 4), live, strict=True):
+        play(frame)
+        np.testing.assert_array_equal(evaluated_positions(sleeve()), positions)
+
+
+@pytest.mark.usefixtures("window")
+def test_an_error_on_another_thread_is_told_and_the_next_frame_plays_again(
+    arm: Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    play(1, 2)
+
+    def fail(*arguments: Any) -> None:
+        raise ValueError("The samples are lost.")
+
+    scene = bpy.context.scene
+    with monkeypatch.context() as broken, suspended():
+        broken.setattr(AlignedWrinkles, "synthesise", fail)
+        scene.frame_set(3)
+        errors = playback.play_scene(scene, bpy.context.evaluated_depsgraph_get())
+        assert errors == [playback.status(sleeve()).error] == ["The samples are lost."]
+    play(4)
+    assert note() == ""
+
+
+@pytest.mark.usefixtures("window")
+def test_no_frame_wakes_a_thread_of_numpys(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+    play(1, 2)
+
+    def wake(*matrices: Any) -> None:
+        raise AssertionError("A thread of the BLAS now spins for longer than a frame.")
+
+    for name in ("inv", "solve"):
+        monkeypatch.setattr(np.linalg, name, wake)
+    play(3)
+    assert note() == ""
 
 
 @pytest.mark.usefixtures("window")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import bpy
 import pytest
@@ -44,17 +45,17 @@ def arm(bumps: Bumps, database: Path, engine: str) -> Arm:
 def played(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of garments, one for every time that a pose was read or played for one."""
     names: list[str] = []
-    play, read = playback.Player.play, playback.Player.read_pose
+    read, read_pose = playback.Player.read, playback.Player.read_pose
 
-    def counted(player: playback.Player, garment: bpy.types.Object, *arguments: object, **options: object) -> None:
+    def counted(player: playback.Player, garment: bpy.types.Object, *arguments: Any, **options: Any) -> Any:
         names.append(garment.name)
-        play(player, garment, *arguments, **options)
+        return read(player, garment, *arguments, **options)
 
     def counted_reading(player: playback.Player, armature: bpy.types.Object) -> Pose:
         names.append(armature.name)
-        return read(player, armature)
+        return read_pose(player, armature)
 
-    monkeypatch.setattr(playback.Player, "play", counted)
+    monkeypatch.setattr(playback.Player, "read", counted)
     monkeypatch.setattr(playback.Player, "read_pose", counted_reading)
     return names
 

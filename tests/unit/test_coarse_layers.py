@@ -2,6 +2,7 @@
 
 import numpy as np
 from cloth_shapes import tube, turned
+from wrinkle_synthesis.wrinkle_addon import coarse_contact, coarse_simulation
 from wrinkle_synthesis.wrinkle_addon.coarse_simulation import CoarseLayer, CoarseSettings, CoarseSimulation
 
 FRAME = 1.0 / 30.0
@@ -44,3 +45,17 @@ def test_layers_that_start_through_each_other_are_counted_and_go_on():
     # The outer sleeve is the narrower one, so some of the inner one stays outside for now.
     assert report.crossed < 0.5 * found[0]
     assert np.isfinite(simulation.positions[0]).all()
+
+
+def test_any_number_of_threads_gives_the_same_bits(monkeypatch):
+    def simulated(threads):
+        for module in (coarse_simulation, coarse_contact):
+            monkeypatch.setattr(module, "THREADS", threads)
+        simulation, arm, garments = shirt_over_trousers(0.002)
+        simulation.start(arm, garments)
+        for angle in (0.1, 0.3, 0.2):
+            simulation.step(turned(arm, angle), [turned(one, angle) for one in garments], FRAME)
+        return simulation.positions
+
+    for one, other in zip(simulated(1), simulated(2), strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -7,10 +7,11 @@ import warp as wp
 from wrinkle_synthesis.wrinkle_addon import coarse_simulation, coarse_version
 
 # What the coarse simulation imports and does not run, or runs without a part in the motion: settling with line
-# searches, tangles, searches for self-contact, where a garment that lies still faces, where things are named and lost.
+# searches, tangles, searches for self-contact, where a garment that lies still faces, where things are named and lost,
+# how many threads there are.
 NO_PART = {
     *("cloth", "cloth_state", "coarse_correction", "coarse_space", "divergence", "facing", "garment", "place", "rig"),
-    *("rotations", "settle_safeguards", "surface", "untangling", "verlet_lists"),
+    *("rotations", "settle_safeguards", "surface", "threads", "untangling", "verlet_lists"),
 }
 
 

@@ -78,7 +78,7 @@ def test_influence_is_the_same_to_the_bit_however_many_threads_measure_it(
 ):
     once = measured(wrinkled)
     monkeypatch.setattr(method, "LEAST_SPLIT", 100)
-    monkeypatch.setattr(method, "cpu_count", lambda: 3)
+    monkeypatch.setattr(method, "THREADS", 3)
     for joint, values in measured(wrinkled).items():
         np.testing.assert_array_equal(values, once[joint])
 

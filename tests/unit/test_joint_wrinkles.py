@@ -208,7 +208,7 @@ def test_a_launch_split_over_threads_gives_the_same_bits(
     from wrinkle_synthesis.wrinkle_addon import method
 
     monkeypatch.setattr(method, "LEAST_SPLIT", 100)
-    monkeypatch.setattr(method, "cpu_count", lambda: 3)
+    monkeypatch.setattr(method, "THREADS", 3)
     np.testing.assert_array_equal(JointWrinkles(wrinkled).bind("cpu").positions(pose), whole)
 
 

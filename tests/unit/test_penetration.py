@@ -330,7 +330,7 @@ def test_any_unit_of_length_gives_the_same(two_limbs):
 def test_any_number_of_threads_gives_the_same_bits(two_limbs, monkeypatch):
     single = two_limbs.at(0.002)[1]
     monkeypatch.setattr(method, "LEAST_SPLIT", 100)
-    monkeypatch.setattr(method, "cpu_count", lambda: 3)
+    monkeypatch.setattr(method, "THREADS", 3)
     assert np.array_equal(TwoLimbs().at(0.002)[1], single)
 
 

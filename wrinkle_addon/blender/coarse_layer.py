@@ -216,7 +216,8 @@ class CoarseLayer:
         self._place(garment.evaluated_get(depsgraph), positions, from_metres)
 
     def _place(self, worn: bpy.types.Object, positions: NDArray[np.float32], world: FloatArray) -> None:
-        place = np.linalg.inv(np.array(worn.matrix_world, np.float64)) @ world
+        # NumPy's own inverse would wake a second thread, which then spins for longer than a frame may take.
+        place = np.array(worn.matrix_world.inverted_safe(), np.float64) @ world
         self._layer.host[:] = positions @ place[:3, :3].T.astype(np.float32) + place[:3, 3].astype(np.float32)
         self._layer.upload()
         self.follow = float(worn.wrinkles.follow)
@@ -280,6 +281,10 @@ class CoarseBinding:
     def doubt(self) -> None:
         """Look at meshes and caches again: the file's data was replaced."""
         self._doubted = True
+
+    def waiting(self, frame: float) -> CoarseLayer | None:
+        """The layer as bound last, if a frame has to wait for its simulation."""
+        return None if self._simulated is None or self._simulated.holds(frame) else self._layer
 
     @property
     def note(self) -> str:

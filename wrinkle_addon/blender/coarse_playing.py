@@ -68,6 +68,10 @@ class PlayedCache:
         self._cache = self._history = None
         self.doubt()
 
+    def holds(self, frame: float) -> bool:
+        """Whether a frame lies in the cache, as far as is known."""
+        return self._cache is not None and self._cache.first <= frame <= self._cache.last
+
     def positions(self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Points:
         """Where a garment's coarse layer lies in the depsgraph's frame, in world axes [m].
 

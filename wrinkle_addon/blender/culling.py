@@ -1,9 +1,11 @@
-"""Which garments a render leaves out by itself, so that nothing is played for them."""
+"""Which garments nobody sees, so that nothing is played for them: hidden ones, and those that a render leaves out."""
 
 from __future__ import annotations
 
 import bpy
 import numpy as np
+
+from .node_group import find_modifier
 
 
 def is_culled(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
@@ -49,3 +51,18 @@ def _is_outside(
         return False
     places = 0.5 + 0.5 * corners[:, :2] / corners[:, 3:]
     return bool(np.any(places.min(0) >= 1.0 + margin) or np.any(places.max(0) <= -margin))
+
+
+def is_shown(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether its own eye and that of its modifier are open; a garment without one will get one."""
+    modifier = find_modifier(garment)
+    if depsgraph.mode == "RENDER":
+        return modifier is None or modifier.show_render
+    if modifier is not None and not modifier.show_viewport:
+        return False
+    return not garment.hide_get(view_layer=depsgraph.view_layer) or _is_needed(garment)
+
+
+def _is_needed(garment: bpy.types.Object) -> bool:
+    """Whether another object follows a garment that is hidden, by a modifier or a constraint."""
+    return any(isinstance(user, bpy.types.Object) for user in bpy.data.user_map(subset=[garment])[garment])

@@ -22,9 +22,9 @@ from .armature import PoseReader, rig_scale
 from .character import read_mesh
 from .clearance import BodyClearance, Worn
 from .flow_recording import mesh_topology
-from .matching import RECORDING, match_rig
+from .matching import RECORDING, glance_at, match_rig
 from .preferences import device_name
-from .write import make_writable, show_positions
+from .write import make_writable
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class FlowPlayer(playback.Player):
         Raises:
             ValueError: One sentence that says what changed since the recording.
         """
-        glance = playback.glance_at(garment)
+        glance = glance_at(garment)
         if glance == self._checked:
             return
         self.doubt()
@@ -137,10 +137,13 @@ class FlowPlayer(playback.Player):
     def doubt(self) -> None:
         self._checked = self._inputs = None
 
-    def play(
+    def begin(self, garment: bpy.types.Object, pose: Pose, depsgraph: bpy.types.Depsgraph) -> None:
+        """A flow waits for nothing."""
+
+    def read(
         self, garment: bpy.types.Object, pose: Pose, depsgraph: bpy.types.Depsgraph, *, only_changes: bool = False
-    ) -> None:
-        """Show the garment in a pose, with the wrinkles of the scene's frame; see :meth:`.playback.Player.play`."""
+    ) -> playback.Turn | None:
+        """Read what decides the garment in a pose and in the scene's frame; see :meth:`.playback.Player.read`."""
         evaluated = garment.evaluated_get(depsgraph)
         placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
         strength = evaluated.wrinkles.strength
@@ -151,18 +154,16 @@ class FlowPlayer(playback.Player):
         around = None if body is None else (body.tobytes(), garment.wrinkles.clearance)
         inputs = (pose.matrices.tobytes(), placement.tobytes(), strength, timing, frame, around)
         if only_changes and inputs == self._inputs:
-            return
-        self._evaluator.timing = timing
-        self._evaluator.evaluate(pose, self._positions, strength, placement, frame=frame)
-        self._outside = describe_outside(self._evaluator.outside)
-        if body is not None:
-            self._clearance.clear(body, self._positions, placement)
-        if self._host is not self._positions:
-            wp.copy(self._host, self._positions)
-            wp.synchronize_device(self._positions.device)
-        show_positions(garment, self._host_view, frame)
-        playback.let_rest(garment, evaluated)
-        self._inputs = inputs
+            return None
+
+        def compute() -> None:
+            self._evaluator.timing = timing
+            self._evaluator.evaluate(pose, self._positions, strength, placement, frame=frame)
+            self._outside = describe_outside(self._evaluator.outside)
+            if body is not None:
+                self._clearance.clear(body, self._positions, placement)
+
+        return playback.Turn(compute, frame, inputs)
 
 
 def timing_of(garment: bpy.types.Object) -> Timing:

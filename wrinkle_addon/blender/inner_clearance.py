@@ -104,7 +104,9 @@ class InnerClearance:
             self._bound = begin(partial(_push_out_of, self._database, inner.database, self._device), depsgraph)
         self._push = take(self._bound, depsgraph)
         self._push.set_distance(garment.wrinkles.clearance)
-        to_garment = np.linalg.inv(np.array(garment.evaluated_get(depsgraph).matrix_world, np.float64)) @ inner.world
+        # By Blender: NumPy's own inverse would wake a second thread, which then spins for longer than a frame may take.
+        world = garment.evaluated_get(depsgraph).matrix_world
+        to_garment = np.array(world.inverted_safe(), np.float64) @ inner.world
         if np.array_equal(to_garment, np.eye(4)):
             return inner.positions
         return apply(to_garment, inner.positions.astype(np.float64)).astype(np.float32)

@@ -118,3 +118,12 @@ def _rest_difference(armature: bpy.types.Object, rig: Rig, scale: float) -> Floa
     rest = np.array([armature.data.bones[name].matrix_local for name in rig.names], np.float64)
     rest[:, :3, 3] *= scale
     return np.abs(rest - rig.rest).max((1, 2))
+
+
+def glance_at(garment: bpy.types.Object) -> tuple[object, ...]:
+    """What tells a changed mesh or rig at a glance; what edit mode does to a mesh besides is found on leaving it."""
+    mesh, bones = garment.data, garment.wrinkles.armature.data.bones
+    rest = np.empty(16 * len(bones), np.float32)
+    bones.foreach_get("matrix_local", rest)
+    counts = len(mesh.vertices), len(mesh.edges), len(mesh.polygons), len(mesh.loops)
+    return mesh.session_uid, *counts, *bones.keys(), rest.tobytes()

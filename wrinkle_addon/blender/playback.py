@@ -7,10 +7,12 @@ valid; they are found by the garment object's session_uid, which outlives undo a
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,14 +25,15 @@ from ..database import WrinkleDatabase
 from ..folder_verbs import choose_device
 from ..joint_wrinkles import BlendWeights, Formulation, JointEvaluator, JointWrinkles
 from ..rig import FloatArray, Pose
+from ..threads import Ahead
 from .armature import PoseReader, rig_scale
 from .clearance import BodyClearance, Worn
 from .coarse_layer import CoarseBinding
-from .culling import is_culled
+from .culling import is_culled, is_shown
 from .first_start import first_start
 from .inner_clearance import InnerClearance, InnerGarment, garments_under
 from .made_behind import NotReady, begin, take
-from .matching import check_mesh, match_rig
+from .matching import check_mesh, glance_at, match_rig
 from .node_group import find_modifier, shows_all
 from .preferences import device_name
 from .render_lock import lock_interface
@@ -95,6 +98,21 @@ class Bound:
         return Player(garment, self)
 
 
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """A garment's turn in a frame.
+
+    Attributes:
+        compute: Writes its positions; of arrays alone, so that it may run on any thread.
+        frame: The scene's, with its fraction.
+        inputs: All that decides the result.
+    """
+
+    compute: Callable[[], None]
+    frame: float
+    inputs: tuple[object, ...]
+
+
 class Player:
     """One garment's database, bound to a device, and all arrays that playing needs.
 
@@ -128,6 +146,7 @@ class Player:
         self._positions = wp.zeros(self._evaluator.vertex_count, dtype=wp.vec3, device=device)
         self._clearance = BodyClearance(Worn.of_database(self.database), str(device))
         self._inner_clearance = InnerClearance(self.database, str(device))
+        self._synthesis: Ahead | None = None
         on_cpu = self._positions.device.is_cpu
         self._host = self._positions if on_cpu else wp.zeros_like(self._positions, device="cpu", pinned=True)
         self._host_view: NDArray[np.float32] = self._host.numpy()
@@ -147,6 +166,11 @@ class Player:
     def note(self) -> str:
         """Why the garment is not kept clear of its body or of an inner garment, if it should be; else empty."""
         return " ".join(filter(None, (self._clearance.note, self._inner_clearance.note)))
+
+    @property
+    def on_cpu(self) -> bool:
+        """Whether other threads of the CPU help it; what a GPU does, nobody waits for anyway."""
+        return self._positions.device.is_cpu
 
     @property
     def positions(self) -> NDArray[np.float32]:
@@ -186,25 +210,41 @@ class Player:
         pose.matrices[:, :3, 3] *= self._to_bake
         return pose
 
-    def play(
+    def begin(self, garment: bpy.types.Object, pose: Pose, depsgraph: bpy.types.Depsgraph) -> None:
+        """Begin on another thread with what waits for no simulation; :meth:`read` must be called then."""
+        layer = self.coarse.waiting(depsgraph.scene.frame_current_final)
+        if layer is None or not self.on_cpu:
+            return
+        evaluated = garment.evaluated_get(depsgraph)
+        placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
+        arguments = pose, self._positions, evaluated.wrinkles.strengths(), placement
+        self._synthesis = Ahead(partial(layer.wrinkles.synthesise, *arguments))
+
+    def read(
         self, garment: bpy.types.Object, pose: Pose, depsgraph: bpy.types.Depsgraph, *, only_changes: bool = False
-    ) -> None:
-        """Show the garment in a pose.
+    ) -> Turn | None:
+        """Read what decides how the garment lies in a pose.
 
         Args:
             garment: The original garment object.
             pose: From :meth:`read_pose`.
             depsgraph: Whence placement, strengths (which may be animated) and frame come.
-            only_changes: Do nothing if all that decides the result is as it was.
+            only_changes: Whether there is nothing to do if all of that is as it was.
+
+        Returns:
+            What writes its positions, for :meth:`show` to show; None if there is nothing to do.
 
         Raises:
             NotReady: If something that it needs is still being made, in a window.
         """
+        try:
+            layer = self.coarse.read(garment, depsgraph, self._evaluator, live=not only_changes)
+        finally:
+            self._finish_synthesis()
         evaluated = garment.evaluated_get(depsgraph)
         placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
         strengths = evaluated.wrinkles.strengths()
         frame = depsgraph.scene.frame_current_final
-        layer = self.coarse.read(garment, depsgraph, self._evaluator, live=not only_changes)
         full = depsgraph.mode == "RENDER" or garment.wrinkles.viewport_detail == "FULL"
         wanted = full and garment.wrinkles.clear_of_body
         body = self._clearance.read(garment, depsgraph, pose, placement, wanted=wanted)
@@ -214,18 +254,31 @@ class Player:
         decided = (strengths, frame, coarse, around, garment.wrinkles.clearance, full)
         inputs = (pose.matrices.tobytes(), placement.tobytes(), *decided)
         if only_changes and inputs == self._inputs:
-            return
-        (layer or self._evaluator).evaluate(pose, self._positions, strengths, placement)
-        if body is not None:
-            self._clearance.clear(body, self._positions, placement)
-        if inner is not None:
-            self._inner_clearance.clear(inner, self._positions, placement)
+            return None
+
+        def compute() -> None:
+            (layer or self._evaluator).evaluate(pose, self._positions, strengths, placement)
+            if body is not None:
+                self._clearance.clear(body, self._positions, placement)
+            if inner is not None:
+                self._inner_clearance.clear(inner, self._positions, placement)
+
+        return Turn(compute, frame, inputs)
+
+    def show(self, garment: bpy.types.Object, turn: Turn, depsgraph: bpy.types.Depsgraph) -> None:
+        """Show the garment as a turn has computed it."""
         if self._host is not self._positions:
             wp.copy(self._host, self._positions)
             wp.synchronize_device(self._positions.device)
-        show_positions(garment, self._host_view, frame)
-        let_rest(garment, evaluated)
-        self._inputs = inputs
+        show_positions(garment, self._host_view, turn.frame)
+        let_rest(garment, garment.evaluated_get(depsgraph))
+        self._inputs = turn.inputs
+
+    def _finish_synthesis(self) -> None:
+        """Wait for what was begun; the arrays that it reads and writes are free again."""
+        begun, self._synthesis = self._synthesis, None
+        if begun is not None:
+            begun.finish()
 
     def _placement(self, garment: bpy.types.Object, armature: bpy.types.Object) -> FloatArray:
         """Matrix from rig space [m] to the garment's object space, shape [4, 4]; both objects evaluated."""
@@ -233,15 +286,6 @@ class Player:
         placement = np.array(garment.matrix_world.inverted_safe() @ armature.matrix_world, np.float64)
         placement[:, :3] /= self._scale
         return placement
-
-
-def glance_at(garment: bpy.types.Object) -> tuple[object, ...]:
-    """What tells a changed mesh or rig at a glance; what edit mode does to a mesh besides is found on leaving it."""
-    mesh, bones = garment.data, garment.wrinkles.armature.data.bones
-    rest = np.empty(16 * len(bones), np.float32)
-    bones.foreach_get("matrix_local", rest)
-    counts = len(mesh.vertices), len(mesh.edges), len(mesh.polygons), len(mesh.loops)
-    return mesh.session_uid, *counts, *bones.keys(), rest.tobytes()
 
 
 # --- the players of this session ----------------------------------------------------------------------------------
@@ -307,30 +351,71 @@ def play_scene(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, *, only_c
     """
     if not first_start.is_over:
         return []
-    errors = []
+    errors: list[str] = []
     poses: dict[object, Pose] = {}
     garments = [ob for ob in _objects(scene) if ob.type == "MESH" and ob.wrinkles.enabled]
     for known in _statuses.values():
         known.plays = known.waits = False
+    playing: list[_Playing] = []
     for garment in sorted(garments, key=_layer_number):
         known = _statuses.setdefault(garment.session_uid, Status())
-        try:
-            known.plays = _play_garment(garment, known, depsgraph, poses, only_changes)
-            known.error = ""
-        except NotReady:
-            known.waits, known.error = True, ""
-            if known.player is not None:
-                known.player.show_anew()
-            _fall_back(garment)
-        except Exception as error:
-            if not isinstance(error, ValueError):
-                traceback.print_exc()
-            known.error = _sentence(error)
-            errors.append(known.error)
-            _fall_back(garment)
+        with _falling_back(garment, known, errors):
+            if (player := _ready_player(garment, known, depsgraph)) is None:
+                continue
+            if player.rig_key not in poses:
+                poses[player.rig_key] = player.read_pose(garment.wrinkles.armature.evaluated_get(depsgraph))
+            pose = poses[player.rig_key]
+            if not only_changes:
+                player.begin(garment, pose, depsgraph)
+            playing.append((garment, known, player, pose))
+    # An outer garment is pushed out of an inner one as that is shown; else none waits for another.
+    for _, together in groupby(playing, lambda one: _layer_number(one[0])):
+        _play_together(list(together), depsgraph, errors, only_changes)
     if len(_statuses) > len(garments):
         _forget_removed()
     return errors
+
+
+_Playing = tuple[bpy.types.Object, Status, Player, Pose]
+
+
+def _play_together(
+    playing: list[_Playing], depsgraph: bpy.types.Depsgraph, errors: list[str], only_changes: bool
+) -> None:
+    """Play garments that do not wait for each other: what is computed, on any thread, all else on this one."""
+    turns: list[tuple[bpy.types.Object, Status, Player, Turn]] = []
+    for garment, known, player, pose in playing:
+        with _falling_back(garment, known, errors):
+            turn = player.read(garment, pose, depsgraph, only_changes=only_changes)
+            known.plays = turn is None
+            if turn is not None:
+                turns.append((garment, known, player, turn))
+    # The first one is this thread's own.
+    begun = [Ahead(turn.compute, kept=k == 0 or not player.on_cpu) for k, (*_, player, turn) in enumerate(turns)]
+    for (garment, known, player, turn), work in zip(turns, begun, strict=True):
+        with _falling_back(garment, known, errors):
+            work.finish()
+            player.show(garment, turn, depsgraph)
+            known.plays = True
+
+
+@contextmanager
+def _falling_back(garment: bpy.types.Object, known: Status, errors: list[str]) -> Iterator[None]:
+    """Let a garment show its skinned shape if this fails, and note why, or until what it needs is made."""
+    try:
+        yield
+        known.error = ""
+    except NotReady:
+        known.waits, known.error = True, ""
+        if known.player is not None:
+            known.player.show_anew()
+        _fall_back(garment)
+    except Exception as error:
+        if not isinstance(error, ValueError):
+            traceback.print_exc()
+        known.error = _sentence(error)
+        errors.append(known.error)
+        _fall_back(garment)
 
 
 def _objects(scene: bpy.types.Scene | None) -> Iterator[bpy.types.Object]:
@@ -340,24 +425,18 @@ def _objects(scene: bpy.types.Scene | None) -> Iterator[bpy.types.Object]:
         scene = scene.background_set
 
 
-def _play_garment(
-    garment: bpy.types.Object,
-    known: Status,
-    depsgraph: bpy.types.Depsgraph,
-    poses: dict[object, Pose],
-    only_changes: bool,
-) -> bool:
-    """Play one garment; returns whether a player shows it."""
+def _ready_player(garment: bpy.types.Object, known: Status, depsgraph: bpy.types.Depsgraph) -> Player | None:
+    """A garment's player, ready to play it in this frame; None if none is to show it."""
     if garment.data.is_editmode:
         # The artist edits the skinned garment; whatever comes out of edit mode is looked at again.
         _doubt(known)
         show_skinned(garment)
-        return False
+        return None
     if not garment.evaluated_get(depsgraph).is_evaluated:
-        return False
-    if not _is_shown(garment, depsgraph) or is_culled(garment, depsgraph):
+        return None
+    if not is_shown(garment, depsgraph) or is_culled(garment, depsgraph):
         wake_skinning(garment)
-        return False
+        return None
     source = garment.wrinkles.flow.source() or Source.of(garment)
     armature = garment.wrinkles.armature.evaluated_get(depsgraph)
     if not armature.is_evaluated:
@@ -367,25 +446,7 @@ def _play_garment(
         )
     player = _player(garment, source, known, depsgraph)
     player.check(garment)
-    if player.rig_key not in poses:
-        poses[player.rig_key] = player.read_pose(armature)
-    player.play(garment, poses[player.rig_key], depsgraph, only_changes=only_changes)
-    return True
-
-
-def _is_shown(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether its own eye and that of its modifier are open; a garment without one will get one."""
-    modifier = find_modifier(garment)
-    if depsgraph.mode == "RENDER":
-        return modifier is None or modifier.show_render
-    if modifier is not None and not modifier.show_viewport:
-        return False
-    return not garment.hide_get(view_layer=depsgraph.view_layer) or _is_needed(garment)
-
-
-def _is_needed(garment: bpy.types.Object) -> bool:
-    """Whether another object follows a garment that is hidden, by a modifier or a constraint."""
-    return any(isinstance(user, bpy.types.Object) for user in bpy.data.user_map(subset=[garment])[garment])
+    return player
 
 
 def let_rest(garment: bpy.types.Object, evaluated: bpy.types.Object) -> None:
