@@ -23,7 +23,7 @@ from .cloth_state import ClothState, SettleReport, SolverSettings, per_world
 from .divergence import find_divergence
 from .elasticity import Elasticity, upload_garment
 from .linear_solver import BlockSystem
-from .settle_safeguards import RESTLESS, SettleSafeguards, patience
+from .settle_safeguards import RESTLESS, SettleSafeguards
 from .surface import SurfaceMeasures
 from .time_integration import EarlierStep, step_inertia
 from .untangling import untangle_worlds
@@ -256,7 +256,8 @@ class ClothSimulation:
         self._rest()
         self._contact.turn(self._positions)
         for iteration in range(max_iterations + overtime + 1):
-            self._contact.find(self._positions, self._moving, self._moving, patience(iteration))
+            self._patience.assign(safeguards.patience)
+            self._contact.find(self._positions, self._moving, self._moving, self._patience)
             self._set_inertia(self.positions, np.zeros(self.world_count))
             self._evaluate_gradient()
             before, residual = residual, np.where(moving, self._rms_residual(trapped), residual)
@@ -494,5 +495,5 @@ class ClothSimulation:
         self._inverse_dt2 = array(self.world_count, wp.float64)
         self._gravity = array(self.world_count, wp.vec3d)
         self._kept, self._nothing_kept = array(self.world_count, wp.float64), array(self.world_count, wp.float64)
-        self._moving, self._none = array(self.world_count, wp.int32), array(self.world_count, wp.int32)
+        self._moving, self._none, self._patience = (array(self.world_count, wp.int32) for _ in range(3))
         self._moving.fill_(1)

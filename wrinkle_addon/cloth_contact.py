@@ -225,13 +225,18 @@ class ContactSearch:
         self._forget_walls()
 
     def find(
-        self, positions: wp.array, following: wp.array, remembering: wp.array | None = None, patience: int = ENDLESS
+        self,
+        positions: wp.array,
+        following: wp.array,
+        remembering: wp.array | None = None,
+        patience: wp.array | None = None,
     ) -> None:
         """Freeze contact at these positions (float64 [m]): planes, friction anchors and bounds, pairs.
 
         ``following``, shape [world_count], says in which worlds anchors change as :meth:`follow` tells;
         ``remembering`` in which what is touched now is kept in mind for the next search, none if left out. Contact
-        that comes out of nothing is borne ``patience`` times and then gives way.
+        that comes out of nothing is borne ``patience`` times, shape [world_count], and then gives way; if left out it
+        never does.
         """
         self._find_planes(positions, remembering, patience)
         self.follow(positions, following)
@@ -289,13 +294,16 @@ class ContactSearch:
         self._launch(contact.measure_depth, self._shape, [positions, self._planes], [gap])
         return gap.numpy()
 
-    def _find_planes(self, positions: wp.array, remembering: wp.array | None = None, patience: int = ENDLESS) -> None:
+    def _find_planes(
+        self, positions: wp.array, remembering: wp.array | None = None, patience: wp.array | None = None
+    ) -> None:
         remembering = self._none if remembering is None else remembering
-        inputs = [positions, self._facing.directions, self._limbs, self._body, self._body_reach, remembering, patience]
+        inputs = [positions, self._facing.directions, self._limbs, self._body, self._body_reach, remembering]
+        inputs.append(self._endless if patience is None else patience)
         found = [self._touched, self._free, self._planes]
         self._launch(contact_planes.find_contact_planes, self._shape, inputs, found)
 
-    def _find_pairs(self, positions: wp.array, patience: int) -> None:
+    def _find_pairs(self, positions: wp.array, patience: wp.array | None) -> None:
         """List the pairs of vertices and triangles and of edges within reach."""
         c, lists = self.frozen, self._lists
         lists.update(positions)
@@ -330,7 +338,7 @@ class ContactSearch:
                 wp.float64(self.settings.pressure),
                 self.settings.self_thickness,
                 self._known_of(owners),
-                patience,
+                self._endless if patience is None else patience,
             ]
             self._launch(kernel, shape, [*inputs, *rows, *law], [*found, self._pair_share, self._pair_sudden[owners]])
         list_incident(c)
@@ -371,6 +379,7 @@ class ContactSearch:
         self._free = contact_planes.FreeSpace()
         self._free.centre, self._free.radius = self._zeros(self._shape, wp.vec3d), self._zeros(self._shape, wp.float32)
         self._outward, self._none = self._zeros(self._shape, wp.vec3), self._zeros(self._shape[0], wp.int32)
+        self._endless = wp.full(self._shape[0], ENDLESS, dtype=wp.int32, device=self._device)
         touched = self._touched = touched_walls.TouchedWalls()
         touched.face, touched.weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)
         touched.point, touched.normal = self._zeros(shape, wp.vec3d), self._zeros(shape, wp.vec3d)

@@ -16,7 +16,7 @@ FIRST_SPAN, SHORTEST_SPAN, LONGEST_SPAN = 1.0 / 15.0, 1.0 / 240.0, 1.0e3
 """The time step that gives mass [s], at first and at its bounds."""
 
 RESTLESS_SPAN = 16.0
-"""The longest one of a restless garment [s]: next to no mass, and yet a few steps from one that helps."""
+"""The longest one of a restless garment whose patience is over [s]: next to no mass, and yet near to one that helps."""
 
 MASSLESS_SPAN = 10.0
 """A time step this long [s] has next to no inertia against the stiffness of any fabric."""
@@ -28,23 +28,13 @@ RESTLESS = 1.0
 """Residual above which a garment is not at rest [nodal weights]: what Wang et al. (2010) ask for."""
 
 LONGEST_WAIT = 8
-"""So many steps without a lower residual, and the compressive stress is left out again."""
+"""So many steps in vain on end, and with no patience left the compressive stress is left out again."""
 
-MOST_PATIENCE, TRIED = 4, 10
-"""How much contact that comes out of nothing a vertex bears at first, and after how many linearisations less by one."""
+MOST_PATIENCE, TRIED = 4, 5
+"""How much contact that comes out of nothing a vertex bears at first, and after how many steps in vain less by one."""
 
 MOST_GROWTH = 1.1
 """A step that lets the residual grow by more than this went too far."""
-
-
-def patience(iteration: int) -> int:
-    """How much contact that comes out of nothing a vertex bears at a linearisation.
-
-    On the way walls are met and lost, and every one counts. But a garment that is near its equilibrium comes to touch
-    things little by little. What still springs upon it is not met but found, now here and now there, where limbs of the
-    body pass through each other; from then on it gives way.
-    """
-    return max(MOST_PATIENCE - iteration // TRIED, 0)
 
 
 class SettleSafeguards:
@@ -60,13 +50,23 @@ class SettleSafeguards:
         self.share: FloatArray = np.ones(world_count)
         self._trust: FloatArray = np.zeros(world_count)
         self._lowest: FloatArray = np.full(world_count, np.inf)
-        self._waiting = np.zeros(world_count, int)
+        self._waiting, self._in_vain = np.zeros(world_count, int), np.zeros(world_count, int)
 
     @property
     def kept(self) -> FloatArray:
         """Share of the compressive stress that stays in the Hessian; none as long as mass is what helps, or where it
-        has led nowhere for long: it makes steps longer than they can be trusted."""
-        return np.where(self._massless & (self._waiting < LONGEST_WAIT), self._trust, 0.0)
+        has led nowhere for long: with it, steps are longer than can be trusted."""
+        wandering = (self._waiting >= LONGEST_WAIT) & (self.patience == 0)
+        return np.where(self._massless & ~wandering, self._trust, 0.0)
+
+    @property
+    def patience(self) -> NDArray[np.int32]:
+        """How much contact that comes out of nothing a vertex bears.
+
+        On the way walls are met and lost, and every one counts. But where the residual does not fall, what springs upon
+        a vertex is not met but found, now here and now there, where limbs of the body pass through each other.
+        """
+        return np.maximum(MOST_PATIENCE - self._in_vain // TRIED, 0).astype(np.int32)
 
     @property
     def _massless(self) -> NDArray[np.bool_]:
@@ -81,13 +81,15 @@ class SettleSafeguards:
             touching: Whether the body is touched: its planes are found anew between steps, out of the line search's
                 sight.
         """
-        self._waiting = np.where((after < self._lowest) | (after <= RESTLESS), 0, self._waiting + 1)
+        fruitless = (after >= self._lowest) & (after > RESTLESS)
+        self._waiting = np.where(fruitless, self._waiting + 1, 0)
+        self._in_vain += fruitless
         self._lowest = np.minimum(after, self._lowest)
         far = (after > MOST_GROWTH * before) & touching
         well = (taken == self.share) & ~far
         grown = np.where(self._massless, np.minimum(self._trust + 0.2, 1.0), self._trust)
         self._trust = np.where(well, grown, 0.5 * self._trust)
-        longest = np.where(after > RESTLESS, RESTLESS_SPAN, LONGEST_SPAN)
+        longest = np.where((after > RESTLESS) & (self.patience == 0), RESTLESS_SPAN, LONGEST_SPAN)
         longer, shorter = np.minimum(2.0 * self.span, longest), np.maximum(0.25 * self.span, SHORTEST_SPAN)
         self.span = np.where(well, longer, shorter)
         # No mass is heavy against a wall: what goes back and forth between two goes half the way back.

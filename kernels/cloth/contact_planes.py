@@ -322,7 +322,7 @@ def find_contact_planes(
     body: BodySurface,
     reach: ContactReach,
     remembering: wp.array[wp.int32],
-    patience: wp.int32,
+    patience: wp.array[wp.int32],
     # in and out
     touched: TouchedWalls,
     free: FreeSpace,
@@ -331,7 +331,7 @@ def find_contact_planes(
     """Contact planes of every vertex; those of a vertex that is still in free space stay as they are.
 
     ``touched`` is what was touched before; worlds that are ``remembering`` store there what is touched now. So many
-    walls that come out of nothing are borne as ``patience`` says.
+    walls that come out of nothing are borne as each world's ``patience`` says.
     """
     world, vertex = wp.tid()
     x = positions[world, vertex]
@@ -350,6 +350,6 @@ def find_contact_planes(
             if gap > reach.thickness and held >= 0:
                 if find_held_plane(planes, body, reach, world, vertex, x, held, touched.weights[world, first + k]):
                     gap = wp.float32(0.0)
-    sudden = share_pressure(planes, touched, reach, world, vertex, x, patience)
+    sudden = share_pressure(planes, touched, reach, world, vertex, x, patience[world])
     if remembering[world] != 0:
         remember_walls(planes, reach, world, vertex, x, sudden, touched)

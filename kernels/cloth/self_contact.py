@@ -141,7 +141,7 @@ def fill_triangle_pairs(
     pressure: wp.float64,
     thickness: wp.float32,
     known: KnownPairs,
-    patience: wp.int32,
+    patience: wp.array[wp.int32],
     # outputs
     vertices: wp.array[wp.vec4i],
     weights: wp.array[wp.vec4],
@@ -167,7 +167,7 @@ def fill_triangle_pairs(
         away = points[world, vertex] - triangle_point(points, faces, world, face, w)
         normal[pair] = wp.normalize(away)
         near = wp.length(away) < NEAR_THICKNESSES * thickness
-        held, new = pair_share(known, owner, vertices[pair], normal[pair], near, patience)
+        held, new = pair_share(known, owner, vertices[pair], normal[pair], near, patience[world])
         any_new = any_new or new
         shares[pair] = held
         strength[pair] = held * wp.float32(pressure * area[vertex])
@@ -286,7 +286,7 @@ def fill_edge_pairs(
     pressure: wp.float64,
     thickness: wp.float32,
     known: KnownPairs,
-    patience: wp.int32,
+    patience: wp.array[wp.int32],
     # outputs
     vertices: wp.array[wp.vec4i],
     weights: wp.array[wp.vec4],
@@ -313,7 +313,7 @@ def fill_edge_pairs(
         away = edge_point(points, edges, world, edge, s) - edge_point(points, edges, world, other, t)
         normal[pair] = wp.normalize(away)
         near = wp.length(away) < NEAR_THICKNESSES * thickness
-        held, new = pair_share(known, owner, vertices[pair], normal[pair], near, patience)
+        held, new = pair_share(known, owner, vertices[pair], normal[pair], near, patience[world])
         any_new = any_new or new
         shares[pair] = held
         strength[pair] = held * share * wp.float32(pressure * wp.float64(0.5) * (area[edge] + area[other]))
