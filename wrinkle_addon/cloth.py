@@ -23,7 +23,7 @@ from .cloth_state import ClothState, SettleReport, SolverSettings, per_world
 from .divergence import find_divergence
 from .elasticity import Elasticity, upload_garment
 from .linear_solver import BlockSystem
-from .settle_safeguards import SettleSafeguards
+from .settle_safeguards import RESTLESS, SettleSafeguards
 from .surface import SurfaceMeasures
 from .time_integration import EarlierStep, step_inertia
 from .untangling import untangle_worlds
@@ -232,6 +232,7 @@ class ClothSimulation:
         max_iterations: int = 60,
         *,
         trapped: float = 0.0,
+        overtime: int = 0,
         worlds: NDArray[np.bool_] | None = None,
     ) -> SettleReport:
         """Go to static equilibrium with the body at rest.
@@ -243,6 +244,7 @@ class ClothSimulation:
             max_iterations: Bound on the linearisations.
             trapped: Share of the vertices that need not come to rest: cloth caught where limbs of the body cut into
                 each other has no equilibrium, and must not keep the rest waiting.
+            overtime: Further linearisations for garments that are restless by then.
             worlds: Which garments settle, shape [world_count]; the others stay where they are. None lets all.
         """
         count = self.world_count
@@ -253,8 +255,9 @@ class ClothSimulation:
         self._moving.assign(moving.astype(np.int32))
         self._rest()
         self._contact.turn(self._positions)
-        for iteration in range(max_iterations + 1):
-            self._contact.find(self._positions, self._moving, self._moving)
+        for iteration in range(max_iterations + overtime + 1):
+            self._patience.assign(safeguards.patience)
+            self._contact.find(self._positions, self._moving, self._moving, self._patience)
             self._set_inertia(self.positions, np.zeros(self.world_count))
             self._evaluate_gradient()
             before, residual = residual, np.where(moving, self._rms_residual(trapped), residual)
@@ -263,8 +266,8 @@ class ClothSimulation:
             if iteration:
                 safeguards.judge(before, residual, taken, self._contact.touches())
             # A world that is done must not go on with its neighbours, or its result would depend on them.
-            moving &= residual > tolerance
-            if not moving.any() or iteration == max_iterations:
+            moving &= residual > (tolerance if iteration < max_iterations else max(tolerance, RESTLESS))
+            if not moving.any() or iteration == max_iterations + overtime:
                 break
             self._moving.assign(moving.astype(np.int32))
             self._inverse_dt2.assign(1.0 / safeguards.span**2)
@@ -492,5 +495,5 @@ class ClothSimulation:
         self._inverse_dt2 = array(self.world_count, wp.float64)
         self._gravity = array(self.world_count, wp.vec3d)
         self._kept, self._nothing_kept = array(self.world_count, wp.float64), array(self.world_count, wp.float64)
-        self._moving, self._none = array(self.world_count, wp.int32), array(self.world_count, wp.int32)
+        self._moving, self._none, self._patience = (array(self.world_count, wp.int32) for _ in range(3))
         self._moving.fill_(1)

@@ -9,12 +9,15 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..kernels.cloth import assembly, body_surface, contact, contact_planes, self_contact
+from ..kernels.cloth import assembly, body_surface, contact, contact_planes, self_contact, touched_walls
 from .cloth_model import ClothModel, FloatArray, IntArray
 from .fabrics import Fabric
 from .facing import Facing
 from .topology import group, mesh_edges, triangles_beside
 from .verlet_lists import VerletLists
+
+ENDLESS = 2**30
+"""Patience with contact that comes out of nothing, where all of it is borne."""
 
 
 @dataclass(frozen=True)
@@ -83,9 +86,9 @@ def make_body(
     return body, meshes
 
 
-def reach_of(settings: ContactSettings) -> contact_planes.ContactReach:
+def reach_of(settings: ContactSettings) -> touched_walls.ContactReach:
     """How far contact is looked for."""
-    reach = contact_planes.ContactReach()
+    reach = touched_walls.ContactReach()
     reach.radius, reach.thickness = settings.radius, settings.thickness
     reach.depth, reach.least_cosine = settings.thickness + settings.depth, settings.least_cosine
     return reach
@@ -102,18 +105,20 @@ def law_of(settings: ContactSettings, fabric: Fabric) -> contact.ContactLaw:
 
 def make_planes(
     settings: ContactSettings, shape: tuple[int, int], device: Any
-) -> tuple[contact_planes.ContactPlanes, assembly.Contact]:
+) -> tuple[touched_walls.ContactPlanes, assembly.Contact]:
     """Room for contact planes, [world_count, vertex_count * PLANES], and the frozen contact that reads them."""
 
     def zeros(dtype: Any) -> wp.array:
         return wp.zeros(shape, dtype=dtype, device=device)
 
-    planes, c = contact_planes.ContactPlanes(), assembly.Contact()
+    planes, c = touched_walls.ContactPlanes(), assembly.Contact()
     planes.face, planes.weights, planes.hollow = zeros(wp.int32), zeros(wp.vec3), zeros(wp.vec3)
-    planes.point, planes.normal = zeros(wp.vec3d), zeros(wp.vec3d)
+    planes.point, planes.normal, planes.share = zeros(wp.vec3d), zeros(wp.vec3d), zeros(wp.float32)
+    planes.share.fill_(1.0)
     for name in ("thickness", "pressure", "depth", "slip", "self_thickness"):
         setattr(c, name, wp.float64(getattr(settings, name)))
     c.face, c.point, c.normal, c.hollow = planes.face, planes.point, planes.normal, planes.hollow
+    c.share = planes.share
     c.anchor, c.friction_bound = zeros(wp.vec3d), zeros(wp.float64)
     return planes, c
 
@@ -186,8 +191,7 @@ class ContactSearch:
         self._body.points.assign(positions.astype(np.float32))
         for mesh in self._body_meshes:
             mesh.refit()
-        self._held_face.fill_(-1)
-        self.look_everywhere()
+        self._forget_walls()
         points, faces, normals = self._body.points, self._body.faces, self._body_face_normals
         self._launch(body_surface.face_normals, normals.shape, [points, faces], [normals])
         inputs = [normals, self._body_corner_start, self._body_corners]
@@ -207,6 +211,7 @@ class ContactSearch:
     def turn(self, positions: wp.array) -> None:
         """Face the body as the garment lies at these positions (float64 [m]); itself it meets as its skins do."""
         self.look_everywhere()
+        self._forget_pairs()
         self._facing.turn(positions)
 
     def look_everywhere(self) -> None:
@@ -217,19 +222,28 @@ class ContactSearch:
         """Let go of every friction anchor and every touched wall."""
         self.anchor_face.fill_(-1)
         self.anchor_weights.zero_()
-        self._held_face.fill_(-1)
-        self.look_everywhere()
+        self._forget_walls()
 
-    def find(self, positions: wp.array, following: wp.array, remembering: wp.array | None = None) -> None:
+    def find(
+        self,
+        positions: wp.array,
+        following: wp.array,
+        remembering: wp.array | None = None,
+        patience: wp.array | None = None,
+    ) -> None:
         """Freeze contact at these positions (float64 [m]): planes, friction anchors and bounds, pairs.
 
         ``following``, shape [world_count], says in which worlds anchors change as :meth:`follow` tells;
-        ``remembering`` in which the walls touched now are kept in mind for the next search, none if left out.
+        ``remembering`` in which what is touched now is kept in mind for the next search, none if left out. Contact
+        that comes out of nothing is borne ``patience`` times, shape [world_count], and then gives way; if left out it
+        never does.
         """
-        self._find_planes(positions, remembering)
+        self._find_planes(positions, remembering, patience)
         self.follow(positions, following)
         if self.settings.self_thickness > 0.0:
-            self._find_pairs(positions)
+            self._find_pairs(positions, patience)
+            if remembering is not None:
+                self._know_pairs()
 
     def follow(self, positions: wp.array, following: wp.array) -> None:
         """Place friction anchors for the planes that were found last.
@@ -246,7 +260,7 @@ class ContactSearch:
 
     def touches(self) -> NDArray[np.bool_]:
         """In which worlds the garment lay within a thickness of the body at the last search that remembered."""
-        return (self._held_face.numpy() >= 0).any(1)
+        return (self._touched.face.numpy() >= 0).any(1)
 
     def expel(self, positions: wp.array, limit: float) -> None:
         """Put vertices deeper in the body than ``limit`` [m] on its skin, unless a fold's other side is there."""
@@ -263,6 +277,15 @@ class ContactSearch:
             [self.anchor_face, self.anchor_weights],
         )
 
+    def _forget_walls(self) -> None:
+        self._touched.face.fill_(-1)
+        self._touched.sudden.fill_(-1)
+        self.look_everywhere()
+
+    def _forget_pairs(self) -> None:
+        self._known["count"].zero_()
+        self._known["sudden"].fill_(-1)
+
     def clearance(self, positions: wp.array) -> NDArray[np.float32]:
         """Signed distance of every vertex to the body [m], negative inside, 1e6 far away."""
         self.look_everywhere()
@@ -271,13 +294,16 @@ class ContactSearch:
         self._launch(contact.measure_depth, self._shape, [positions, self._planes], [gap])
         return gap.numpy()
 
-    def _find_planes(self, positions: wp.array, remembering: wp.array | None = None) -> None:
+    def _find_planes(
+        self, positions: wp.array, remembering: wp.array | None = None, patience: wp.array | None = None
+    ) -> None:
         remembering = self._none if remembering is None else remembering
         inputs = [positions, self._facing.directions, self._limbs, self._body, self._body_reach, remembering]
-        found = [self._held_face, self._held_weights, self._free, self._planes]
+        inputs.append(self._endless if patience is None else patience)
+        found = [self._touched, self._free, self._planes]
         self._launch(contact_planes.find_contact_planes, self._shape, inputs, found)
 
-    def _find_pairs(self, positions: wp.array) -> None:
+    def _find_pairs(self, positions: wp.array, patience: wp.array | None) -> None:
         """List the pairs of vertices and triangles and of edges within reach."""
         c, lists = self.frozen, self._lists
         lists.update(positions)
@@ -307,8 +333,35 @@ class ContactSearch:
             (self_contact.fill_edge_pairs, edges_shape, crossing, edges, self._edge_area),
         ):
             rows = [self._partner, self._pair_start[owners], self._pair_count[owners]]
-            self._launch(kernel, shape, [*inputs, *rows, area, wp.float64(self.settings.pressure)], found)
+            law = [
+                area,
+                wp.float64(self.settings.pressure),
+                self.settings.self_thickness,
+                self._known_of(owners),
+                self._endless if patience is None else patience,
+            ]
+            self._launch(kernel, shape, [*inputs, *rows, *law], [*found, self._pair_share, self._pair_sudden[owners]])
         list_incident(c)
+
+    def _known_of(self, owners: slice) -> self_contact.KnownPairs:
+        """The pairs of one linearisation before that belong to these owners."""
+        known = self_contact.KnownPairs()
+        for name in ("start", "count", "sudden"):
+            setattr(known, name, self._known[name][owners])
+        for name in ("vertices", "normal", "share"):
+            setattr(known, name, self._known[name])
+        return known
+
+    def _know_pairs(self) -> None:
+        """Keep in mind the pairs found last."""
+        c = self.frozen
+        found = {"start": self._pair_start, "count": self._pair_count, "sudden": self._pair_sudden}
+        found |= {"vertices": c.pair_vertices, "normal": c.pair_normal, "share": self._pair_share}
+        for name, values in found.items():
+            if len(self._known[name]) == len(values):
+                wp.copy(self._known[name], values)
+            else:
+                self._known[name] = wp.clone(values)
 
     def _make_body(self, faces: IntArray, positions: FloatArray) -> None:
         start, corners = group(faces.ravel(), positions.shape[1])
@@ -318,7 +371,7 @@ class ContactSearch:
         self._body, self._body_meshes = make_body(faces, positions, self._device)
 
     def _make_planes(self) -> None:
-        shape = (self._shape[0], self._shape[1] * contact_planes.PLANES)
+        shape = (self._shape[0], self._shape[1] * touched_walls.PLANES)
         settings = self.settings
         self._body_reach = reach_of(settings)
         self._law = law_of(settings, self._fabric)
@@ -326,7 +379,12 @@ class ContactSearch:
         self._free = contact_planes.FreeSpace()
         self._free.centre, self._free.radius = self._zeros(self._shape, wp.vec3d), self._zeros(self._shape, wp.float32)
         self._outward, self._none = self._zeros(self._shape, wp.vec3), self._zeros(self._shape[0], wp.int32)
-        self._held_face, self._held_weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)
+        self._endless = wp.full(self._shape[0], ENDLESS, dtype=wp.int32, device=self._device)
+        touched = self._touched = touched_walls.TouchedWalls()
+        touched.face, touched.weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)
+        touched.point, touched.normal = self._zeros(shape, wp.vec3d), self._zeros(shape, wp.vec3d)
+        touched.share = self._zeros(shape, wp.float32)
+        touched.position, touched.sudden = self._zeros(self._shape, wp.vec3d), self._zeros(self._shape, wp.int32)
         self.anchor_face, self.anchor_weights = self._zeros(shape, wp.int32), self._zeros(shape, wp.vec3)
 
     def _make_pairs(self, model: ClothModel) -> None:
@@ -344,11 +402,17 @@ class ContactSearch:
         self._lists = VerletLists(model, self._faces, worlds, self._reach, rest_reach)
         self._partner = self._zeros(0, wp.int32)
         owners = len(self._lists.count)
-        self._pair_count, self._pair_start, self._pair_end = (self._zeros(owners, wp.int32) for _ in range(3))
+        self._pair_count, self._pair_start, self._pair_end, self._pair_sudden = (
+            self._zeros(owners, wp.int32) for _ in range(4)
+        )
+        self._known = {name: self._zeros(owners, wp.int32) for name in ("start", "count", "sudden")}
+        self._known |= {"vertices": self._zeros(0, wp.vec4i), "normal": self._zeros(0, wp.vec3)}
+        self._known["share"] = self._zeros(0, wp.float32)
 
     def _hold_pairs(self, capacity: int) -> None:
         """Make room for this many self-contact pairs."""
         hold_pairs(self.frozen, capacity, self._device)
+        self._pair_share = self._zeros(capacity, wp.float32)
         self.pair_energy, self.pair_force = self._zeros(capacity, wp.float64), self._zeros(capacity, wp.vec3)
 
     def _zeros(self, shape: tuple[int, ...] | int, dtype: type) -> wp.array:

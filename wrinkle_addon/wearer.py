@@ -17,10 +17,11 @@ from .divergence import place_of
 from .garment import Body, Garment, distances_to_surface, find_regions
 from .joints import find_joints
 from .rig import FloatArray, Pose, Rig, pose_between
+from .settle_safeguards import RESTLESS
 from .surface import BodyVolume, SurfaceMeasures
 
-UNTANGLINGS = 1
-"""How often a garment that settles with its layers through each other is drawn apart."""
+ROUNDS = 2
+"""How often a garment settles: again where its layers were drawn apart or it did not come to rest."""
 
 REST_EFFORT = 3
 """How many times as many linearisations the rest pose may take: what it lacks shows in every sample."""
@@ -190,15 +191,21 @@ class Wearer:
         iterations = settings.settle_iterations if iterations is None else iterations
         simulation = self.simulation
         told: list[dict[str, Any]] = [{} for _ in self._poses]
-        settling = np.ones(len(told), bool)
+        settling, drawn = np.ones(len(told), bool), np.zeros(len(told), int)
         rounds: list[SettleReport] = []
         while settling.any():
-            rounds.append(simulation.settle(tolerance, iterations, trapped=trapped, worlds=settling))
-            tangled = settling & (simulation.untangle() > 0) if len(rounds) <= UNTANGLINGS else np.zeros_like(settling)
+            last = len(rounds) == ROUNDS - 1
+            overtime = iterations if last else 0
+            rounds.append(simulation.settle(tolerance, iterations, trapped=trapped, overtime=overtime, worlds=settling))
+            again = np.zeros_like(settling)
+            if not last:
+                tangled = settling & (simulation.untangle() > 0)
+                drawn += tangled
+                again = tangled | (settling & (rounds[-1].residual > RESTLESS))
             # A world that is done is told of before its neighbours go on.
-            for world in np.flatnonzero(settling & ~tangled):
-                told[world] = {**self._effort(rounds, world), **self._lie(world)}
-            settling = tangled
+            for world in np.flatnonzero(settling & ~again):
+                told[world] = {**self._effort(rounds, world), "untanglings": int(drawn[world]), **self._lie(world)}
+            settling = again
         return told
 
     def _effort(self, rounds: Sequence[SettleReport], world: int) -> dict[str, Any]:
@@ -210,7 +217,6 @@ class Wearer:
             "converged": bool(last.converged[world]),
             "iterations": int(sum(each.iterations[world] for each in rounds)),
             "linear_iterations": int(sum(each.linear_iterations[world] for each in rounds)),
-            "untanglings": len(rounds) - 1,
             **({} if last.converged[world] else {"restless": self._restless(world)}),
         }
 

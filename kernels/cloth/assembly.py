@@ -9,10 +9,10 @@ import warp as wp
 
 from .bending import bending_gradient
 from .contact import contact_curvature, contact_energy, contact_force
-from .contact_planes import PLANES
 from .friction import friction_energy, friction_hessian, friction_slope, tangential
 from .membrane import mat32d, membrane_gradient, membrane_hessian, shape_gradient
 from .self_contact import pair_separation
+from .touched_walls import PLANES
 
 wp.set_module_options({"enable_backward": False})
 
@@ -38,9 +38,9 @@ class Garment:
 class Contact:
     """Frozen contact state of one linearisation.
 
-    Planes of the body are [world_count, vertex_count * PLANES], each with its own friction. Pairs of the garment with
-    itself lie in one list for all worlds, the first ``pair_total``; each pushes four vertices by signed weights, see
-    ``self_contact``. A vertex is known there as world * vertex_count + vertex.
+    Planes of the body are [world_count, vertex_count * PLANES], each with its own friction and ``share`` of the full
+    pressure. Pairs of the garment with itself lie in one list for all worlds, the first ``pair_total``; each pushes
+    four vertices by signed weights, see ``self_contact``. A vertex is known there as world * vertex_count + vertex.
     """
 
     thickness: wp.float64
@@ -51,6 +51,7 @@ class Contact:
     point: wp.array2d[wp.vec3d]
     normal: wp.array2d[wp.vec3d]
     hollow: wp.array2d[wp.vec3]
+    share: wp.array2d[wp.float32]
     anchor: wp.array2d[wp.vec3d]
     friction_bound: wp.array2d[wp.float64]
     self_thickness: wp.float64
@@ -107,10 +108,11 @@ def vertex_energies(
             garment.bending_coefficients,
         ),
     )
-    strength = contact.pressure * garment.area[vertex]
+    full = contact.pressure * garment.area[vertex]
     for k in range(PLANES):
         plane = vertex * PLANES + k
         if contact.face[world, plane] >= 0:
+            strength = full * wp.float64(contact.share[world, plane])
             gap = wp.dot(x - contact.point[world, plane], contact.normal[world, plane])
             total += contact_energy(gap, contact.thickness, strength, contact.depth)
             drift = tangential(x - contact.anchor[world, plane], contact.normal[world, plane])
@@ -183,10 +185,11 @@ def gradient(
         total += garment.rest_area[triangle] * membrane_gradient(
             deformation[world, triangle], stress[world, triangle], g
         )
-    strength = contact.pressure * garment.area[vertex]
+    full = contact.pressure * garment.area[vertex]
     for k in range(PLANES):
         plane = vertex * PLANES + k
         if contact.face[world, plane] >= 0:
+            strength = full * wp.float64(contact.share[world, plane])
             n = contact.normal[world, plane]
             gap = wp.dot(x - contact.point[world, plane], n)
             total -= n * contact_force(gap, contact.thickness, strength, contact.depth)
@@ -241,10 +244,11 @@ def assemble_diagonal(
     total = (garment.mass[vertex] * inverse_dt2[world] + garment.pin_stiffness[vertex]) * wp.identity(
         n=3, dtype=wp.float64
     )
-    strength = contact.pressure * garment.area[vertex]
+    full = contact.pressure * garment.area[vertex]
     for k in range(PLANES):
         plane = vertex * PLANES + k
         if contact.face[world, plane] >= 0:
+            strength = full * wp.float64(contact.share[world, plane])
             n = contact.normal[world, plane]
             gap = wp.dot(x - contact.point[world, plane], n)
             total += contact_curvature(gap, contact.thickness, strength, contact.depth) * wp.outer(n, n)

@@ -8,7 +8,7 @@ of the body does not tear the rest of the garment.
 import warp as wp
 
 from .body_surface import BodySurface, face_direction, plane_weights, triangle_point
-from .contact_planes import PLANES, ContactPlanes
+from .touched_walls import PLANES, ContactPlanes
 
 wp.set_module_options({"enable_backward": False})
 
@@ -141,7 +141,8 @@ def update_anchors(
         bound = wp.float64(0.0)
         if planes.face[world, plane] >= 0:
             gap = wp.dot(x - planes.point[world, plane], planes.normal[world, plane])
-            bound = law.holding * contact_force(gap, law.thickness, law.pressure * area[vertex], law.depth)
+            strength = law.pressure * area[vertex] * wp.float64(planes.share[world, plane])
+            bound = law.holding * contact_force(gap, law.thickness, strength, law.depth)
         held_face = wp.int32(-1)
         held_weights = wp.vec3()
         anchor = wp.vec3d()

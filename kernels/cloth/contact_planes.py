@@ -7,6 +7,8 @@ it is worn on, and no triangle that faces away from the vertex's own outward dir
 The second plane holds it against what lies across: skin of any limb that is met on the way from the first plane to the
 vertex, as of the trunk under a sleeve; else the skin that was touched one linearisation before. Without that memory a
 vertex between two walls sees now one and now the other, and never comes to rest.
+
+Where limbs pass through each other walls still come out of nothing, and give way in time (``touched_walls``).
 """
 
 import warp as wp
@@ -19,10 +21,10 @@ from .body_surface import (
     smooth_foot,
     triangle_point,
 )
+from .touched_walls import PLANES, ContactPlanes, ContactReach, TouchedWalls, remember_walls, share_pressure
 
 wp.set_module_options({"enable_backward": False})
 
-PLANES = wp.constant(2)
 # A smooth foot that is this many times as far away as the closest point is none: in a narrow cleft it is the bottom.
 STEEPEST = wp.constant(2.0)
 # Below this [m] two places on the skin are one.
@@ -38,23 +40,6 @@ SUNK = wp.constant(5.0e-4)
 
 
 @wp.struct
-class ContactPlanes:
-    """Planes of every vertex, entries vertex * PLANES + k of each world.
-
-    Attributes:
-        face, weights: Body triangle and barycentric coordinates; -1 where there is none.
-        point, normal: A point of the plane [m] and its outward unit normal.
-        hollow: How the normal turns where the body is hollow, see :func:`~.body_surface.hollow_bend`.
-    """
-
-    face: wp.array2d[wp.int32]
-    weights: wp.array2d[wp.vec3]
-    point: wp.array2d[wp.vec3d]
-    normal: wp.array2d[wp.vec3d]
-    hollow: wp.array2d[wp.vec3]
-
-
-@wp.struct
 class FreeSpace:
     """The ball of every vertex, [world_count, vertex_count], that no skin reached into when it was last looked for.
 
@@ -65,16 +50,6 @@ class FreeSpace:
 
     centre: wp.array2d[wp.vec3d]
     radius: wp.array2d[wp.float32]
-
-
-@wp.struct
-class ContactReach:
-    """Lengths of the search [m] and the least cosine between a triangle's normal and a vertex's outward direction."""
-
-    radius: wp.float32
-    thickness: wp.float32
-    depth: wp.float32
-    least_cosine: wp.float32
 
 
 @wp.func
@@ -347,16 +322,16 @@ def find_contact_planes(
     body: BodySurface,
     reach: ContactReach,
     remembering: wp.array[wp.int32],
+    patience: wp.array[wp.int32],
     # in and out
-    held_face: wp.array2d[wp.int32],
-    held_weights: wp.array2d[wp.vec3],
+    touched: TouchedWalls,
     free: FreeSpace,
     planes: ContactPlanes,
 ):
     """Contact planes of every vertex; those of a vertex that is still in free space stay as they are.
 
-    ``held_face`` and ``held_weights`` are the triangles touched before; worlds that are ``remembering`` store here what
-    is touched now.
+    ``touched`` is what was touched before; worlds that are ``remembering`` store there what is touched now. So many
+    walls that come out of nothing are borne as each world's ``patience`` says.
     """
     world, vertex = wp.tid()
     x = positions[world, vertex]
@@ -371,15 +346,10 @@ def find_contact_planes(
         if gap == NOWHERE and free.radius[world, vertex] == 0.0:
             gap = find_burying_plane(planes, body, reach, world, vertex, x)
         for k in range(PLANES):
-            held = held_face[world, first + k]
+            held = touched.face[world, first + k]
             if gap > reach.thickness and held >= 0:
-                if find_held_plane(planes, body, reach, world, vertex, x, held, held_weights[world, first + k]):
+                if find_held_plane(planes, body, reach, world, vertex, x, held, touched.weights[world, first + k]):
                     gap = wp.float32(0.0)
+    sudden = share_pressure(planes, touched, reach, world, vertex, x, patience[world])
     if remembering[world] != 0:
-        for k in range(PLANES):
-            plane = first + k
-            held_face[world, plane] = -1
-            if planes.face[world, plane] >= 0:
-                if wp.dot(x - planes.point[world, plane], planes.normal[world, plane]) < wp.float64(reach.thickness):
-                    held_face[world, plane] = planes.face[world, plane]
-                    held_weights[world, plane] = planes.weights[world, plane]
+        remember_walls(planes, reach, world, vertex, x, sudden, touched)

@@ -8,11 +8,15 @@ A vertex has a pair with every triangle within reach, so that nothing jumps when
 the rest shape are left out. Two edges have a pair where their closest points lie between their ends; its strength
 fades towards the ends and where the edges become parallel, where vertices and triangles do the same work. Vertices
 collect their share through lists of incident pairs, in a fixed order, so that sums come out the same to the bit.
+
+Layers that are pressed into one another where the body leaves no room are pushed through each other to and fro. A pair
+whose sides change, or that is all at once near, gives less each time, as walls of the body do (``touched_walls``).
 """
 
 import warp as wp
 
 from .body_surface import closest_point_on_triangle, triangle_point
+from .touched_walls import sudden_share
 
 wp.set_module_options({"enable_backward": False})
 
@@ -23,6 +27,47 @@ REST_THICKNESSES = 1.6
 REACH_THICKNESSES = 1.2
 # Edges count in full from 30 degrees between them.
 CROSSED_SINE2 = wp.constant(wp.float32(0.25))
+# A pair that begins closer than this many thicknesses came out of nothing.
+NEAR_THICKNESSES = wp.constant(0.8)
+
+
+@wp.struct
+class KnownPairs:
+    """The pairs of one linearisation before, in rows by owner: a vertex, or an edge.
+
+    Attributes:
+        start, count: Where each owner's row begins and how many pairs it has, [world_count * owner_count].
+        sudden: How often a pair of each owner has come out of nothing, -1 if it was not looked for yet.
+        vertices, normal: The four vertices of a pair and its normal.
+        share: Share of its full strength that it had.
+    """
+
+    start: wp.array[wp.int32]
+    count: wp.array[wp.int32]
+    sudden: wp.array[wp.int32]
+    vertices: wp.array[wp.vec4i]
+    normal: wp.array[wp.vec3]
+    share: wp.array[wp.float32]
+
+
+@wp.func
+def pair_share(
+    known: KnownPairs, owner: wp.int32, vertices: wp.vec4i, normal: wp.vec3, near: wp.bool, patience: wp.int32
+):
+    """Share of its full strength that a pair has, and whether it has come out of nothing: its sides have changed, or it
+    was none and is ``near`` now.
+    """
+    if known.sudden[owner] < 0:
+        return wp.float32(1.0), wp.bool(False)
+    new = near
+    for k in range(known.start[owner], known.start[owner] + known.count[owner]):
+        if known.vertices[k] == vertices:
+            if wp.dot(known.normal[k], normal) >= 0.0:
+                return known.share[k], wp.bool(False)
+            new = wp.bool(True)
+    if not new:
+        return wp.float32(1.0), wp.bool(False)
+    return sudden_share(known.sudden[owner] + 1, patience), wp.bool(True)
 
 
 @wp.func
@@ -94,24 +139,39 @@ def fill_triangle_pairs(
     pair_count: wp.array[wp.int32],
     area: wp.array[wp.float64],
     pressure: wp.float64,
+    thickness: wp.float32,
+    known: KnownPairs,
+    patience: wp.array[wp.int32],
     # outputs
     vertices: wp.array[wp.vec4i],
     weights: wp.array[wp.vec4],
     normal: wp.array[wp.vec3],
     strength: wp.array[wp.float32],
+    shares: wp.array[wp.float32],
+    sudden: wp.array[wp.int32],
 ):
-    """Write the pairs that :func:`find_triangle_pairs` found; ``strength`` is their force at no distance [N]."""
+    """Write the pairs that :func:`find_triangle_pairs` found.
+
+    ``strength`` is their force at no distance [N], ``shares`` and ``sudden`` what :class:`KnownPairs` holds next.
+    """
     world, vertex = wp.tid()
     first = world * points.shape[1]
     owner = first + vertex
+    any_new = wp.bool(False)
     for k in range(pair_count[owner]):
         face = partner[row_start[owner] + k]
         pair = pair_start[owner] + k
         _near, w = triangle_pair(points, faces, world, vertex, face, outward, reach)
         vertices[pair] = wp.vec4i(owner, first + faces[face, 0], first + faces[face, 1], first + faces[face, 2])
         weights[pair] = wp.vec4(1.0, -w[0], -w[1], -w[2])
-        normal[pair] = wp.normalize(points[world, vertex] - triangle_point(points, faces, world, face, w))
-        strength[pair] = wp.float32(pressure * area[vertex])
+        away = points[world, vertex] - triangle_point(points, faces, world, face, w)
+        normal[pair] = wp.normalize(away)
+        near = wp.length(away) < NEAR_THICKNESSES * thickness
+        held, new = pair_share(known, owner, vertices[pair], normal[pair], near, patience[world])
+        any_new = any_new or new
+        shares[pair] = held
+        strength[pair] = held * wp.float32(pressure * area[vertex])
+    sudden[owner] = wp.max(known.sudden[owner], 0) + wp.where(any_new, 1, 0)
 
 
 @wp.func
@@ -224,16 +284,22 @@ def fill_edge_pairs(
     pair_count: wp.array[wp.int32],
     area: wp.array[wp.float64],
     pressure: wp.float64,
+    thickness: wp.float32,
+    known: KnownPairs,
+    patience: wp.array[wp.int32],
     # outputs
     vertices: wp.array[wp.vec4i],
     weights: wp.array[wp.vec4],
     normal: wp.array[wp.vec3],
     strength: wp.array[wp.float32],
+    shares: wp.array[wp.float32],
+    sudden: wp.array[wp.int32],
 ):
     """Write the pairs that :func:`find_edge_pairs` found."""
     world, edge = wp.tid()
     owner = world * edges.shape[0] + edge
     first = world * points.shape[1]
+    any_new = wp.bool(False)
     for index in range(pair_count[owner]):
         other = partner[row_start[owner] + index]
         pair = pair_start[owner] + index
@@ -244,10 +310,14 @@ def fill_edge_pairs(
             first + edges[edge, 0], first + edges[edge, 1], first + edges[other, 0], first + edges[other, 1]
         )
         weights[pair] = wp.vec4(1.0 - s, s, t - 1.0, -t)
-        normal[pair] = wp.normalize(
-            edge_point(points, edges, world, edge, s) - edge_point(points, edges, world, other, t)
-        )
-        strength[pair] = share * wp.float32(pressure * wp.float64(0.5) * (area[edge] + area[other]))
+        away = edge_point(points, edges, world, edge, s) - edge_point(points, edges, world, other, t)
+        normal[pair] = wp.normalize(away)
+        near = wp.length(away) < NEAR_THICKNESSES * thickness
+        held, new = pair_share(known, owner, vertices[pair], normal[pair], near, patience[world])
+        any_new = any_new or new
+        shares[pair] = held
+        strength[pair] = held * share * wp.float32(pressure * wp.float64(0.5) * (area[edge] + area[other]))
+    sudden[owner] = wp.max(known.sudden[owner], 0) + wp.where(any_new, 1, 0)
 
 
 @wp.kernel

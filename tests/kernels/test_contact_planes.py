@@ -227,6 +227,55 @@ def test_both_walls_of_a_corner_hold_once_both_were_touched(device):
     assert (found(simulation)[0][:, 1] == -1).all()
 
 
+def shares(simulation, points, patience):
+    """The share of its full pressure that each wall of the first vertex gives, by the axis along which it faces."""
+    simulation._positions.assign(points[None])
+    patience = wp.array([patience], dtype=wp.int32, device=simulation.device)
+    simulation._contact.find(simulation._positions, simulation._moving, simulation._moving, patience)
+    frozen = simulation._contact.frozen
+    axes = np.abs(frozen.normal.numpy()[0, : contact_planes.PLANES]).argmax(1)
+    given = frozen.share.numpy()[0, : contact_planes.PLANES]
+    touched = frozen.face.numpy()[0, : contact_planes.PLANES] >= 0
+    return {int(axis): float(share) for axis, share in zip(axes[touched], given[touched], strict=True)}
+
+
+def corner_of_walls():
+    """Three walls that cut through each other in the origin, one more than a vertex has planes, and places before each
+    of them, by the axis along which it faces."""
+    board, faces = sheet(8, 8, 0.2, 0.2)
+    board = board - [0.02, 0.02, 0.0]
+    body = np.concatenate([board[:, np.roll([0, 1, 2], turn)] for turn in (2, 1, 0)])
+    places = [np.tile([np.roll([0.001, 0.002, 0.0025], axis)], (4, 1)) for axis in range(3)]
+    return body, np.concatenate([faces + k * len(board) for k in range(3)]), places
+
+
+def test_a_wall_that_comes_upon_a_vertex_out_of_nothing_gives_way_once_patience_is_over(device):
+    """Of three walls two are seen at a time; the third comes back with all its pressure, as far as is borne."""
+    body, faces, places = corner_of_walls()
+    simulation = searching(places[0], body, faces, device)
+    assert shares(simulation, places[0], 1) == {0: 1.0}
+    # The closest wall presses from nowhere; the one that was touched before is kept.
+    assert shares(simulation, places[1], 1) == {1: 1.0, 0: 1.0}
+    given = shares(simulation, places[2], 1)
+    assert np.isclose(given[2], 0.1) and given[1] == 1.0
+    given = shares(simulation, places[0], 1)
+    assert np.isclose(given[0], 0.01) and np.isclose(given[2], 0.1)
+    # What is kept touching keeps its share; where the body has moved, all is well again.
+    assert shares(simulation, places[0], 1) == given
+    simulation.move_body(body)
+    assert shares(simulation, places[0], 0) == {0: 1.0}
+
+
+def test_a_wall_that_a_vertex_comes_to_gives_all_of_its_pressure_however_often(device):
+    body, faces, _places = corner_of_walls()
+    away = np.tile([0.005, 0.05, 0.05], (4, 1))
+    near = np.tile([0.001, 0.05, 0.05], (4, 1))
+    simulation = searching(away, body, faces, device)
+    for _ in range(3):
+        shares(simulation, away, 0)
+        assert shares(simulation, near, 0) == {0: 1.0}
+
+
 def test_a_surface_that_faces_away_from_the_vertex_is_passed_over(device):
     # Two boards, facing down above the point and facing up below it; the nearer one belongs to another limb.
     board, faces = sheet(4, 4, 0.2, 0.2)

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from cloth_shapes import Sleeve, bent, floor, free_cloth, inclined, patch_on_floor, raised, sheet, sphere
+from cloth_shapes import Sleeve, bent, floor, free_cloth, inclined, patch_on_floor, raised, sheet, sphere, tube
 from wrinkle_synthesis.wrinkle_addon.cloth import STANDARD_GRAVITY, ClothSimulation, SolverSettings
-from wrinkle_synthesis.wrinkle_addon.cloth_contact import ContactSettings
+from wrinkle_synthesis.wrinkle_addon.cloth_contact import ContactSettings, Limbs
 from wrinkle_synthesis.wrinkle_addon.cloth_model import Fabric, build_cloth_model
 from wrinkle_synthesis.wrinkle_addon.surface import BodyVolume
 
@@ -449,3 +449,33 @@ def test_a_triangle_without_area_is_refused():
     rest[4] = rest[1]
     with pytest.raises(ValueError, match="no area"):
         build_cloth_model(rest, faces, Fabric())
+
+
+@pytest.mark.parametrize("radius, height", [(0.05, 0.0), (0.03, 0.04)], ids=["through", "above"])
+def test_a_sleeve_on_limbs_that_pass_through_each_other_comes_to_rest(device, radius, height):
+    """Two pipes that cross at 34 degrees, one or both of them within the sleeve: where they meet no place is free.
+
+    As long as walls pressed with all their force wherever they were found, 98 and 50 nodal weights were left.
+    """
+    limb, faces = tube(40, 32, 0.5, 0.05)
+    other, other_faces = tube(40, 32, 0.5, radius)
+    sleeve, sleeve_faces = tube(30, 32, 0.3, 0.053)
+    limb, sleeve = limb - [0.25, 0.0, 0.0], sleeve - [0.15, 0.0, 0.0]
+    cosine, sine = np.cos(0.6), np.sin(0.6)
+    other = (other - [0.25, 0.0, 0.0]) @ np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    other = raised(other, height)
+    of_triangles = np.repeat([0, 1], [len(faces), len(other_faces)]).astype(np.int32)
+    simulation = ClothSimulation(
+        build_cloth_model(sleeve, sleeve_faces, Fabric()),
+        np.concatenate([faces, other_faces + len(limb)]),
+        np.concatenate([limb, other]),
+        limbs=Limbs(of_triangles, np.full(len(sleeve), 0b11, np.int32)),
+        device=device,
+    )
+    simulation.start(sleeve)
+    around = sleeve * [0.0, 1.0, 1.0]
+    simulation.set_outward(around / np.linalg.norm(around, axis=1, keepdims=True))
+    report = simulation.settle(0.3, 120, trapped=0.005)
+    assert report.converged
+    # Found once more, the contact is the same, but for slipping vertices, whose anchors have followed them meanwhile.
+    assert np.isclose(simulation.relative_residual(), report.whole_residual, rtol=0.05)
