@@ -143,6 +143,7 @@ class CoarseSimulation:
             anchor_weights=contact_.anchor_weights.numpy().copy(),
             candidates=contact_.candidate.numpy().copy(),
             found_from=contact_.found_from.numpy().copy(),
+            heights=contact_.gap.numpy().copy(),
             body=np.stack([points.last.numpy(), points.coming.numpy()]),
             skin=np.stack([skin.last.numpy(), skin.coming.numpy()]),
             last_step=np.array([self._last_step or 0.0]),
@@ -165,6 +166,7 @@ class CoarseSimulation:
         self._contact.anchor_weights.assign(state.anchor_weights)
         self._contact.candidate.assign(state.candidates)
         self._contact.found_from.assign(state.found_from)
+        self._contact.gap.assign(state.heights)
         self._last_step = float(state.last_step[0]) or None
         self._show()
 
@@ -272,7 +274,7 @@ class CoarseSimulation:
         contact_.launch_move(self._clock)
         driven = [motion, self._garment.pin_stiffness, self._inverse_dt2, self._system.solution]
         self._launch(frame_steps.begin_step, [self._skin, self._clock, *driven])
-        contact_.launch_freeze(positions, motion.target, self._clock)
+        contact_.launch_freeze(motion, self._clock)
         self._record_gradient()
         self._system.assemble(positions, self._inverse_dt2, self._kept)
         self._system.precondition(positions)
@@ -285,7 +287,7 @@ class CoarseSimulation:
         positions = motion.positions
         self._launch(frame_steps.move_vertices, [self._system.solution, wp.float64(LONGEST_STEP), positions])
         self._launch(frame_steps.end_step, [self._clock, contact_.touching, contact_.planes, motion])
-        contact_.launch_expel(motion)
+        contact_.launch_expel(motion, self._clock)
         contact_.launch_follow(positions)
 
     def _record_gradient(self) -> None:
