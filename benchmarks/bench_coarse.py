@@ -97,8 +97,8 @@ def measure_stages(simulation: CoarseSimulation, body: np.ndarray, skin: np.ndar
     recorded = {
         "moving the body": lambda: contact.launch_move(simulation._clock),
         "contact": lambda: (
-            contact.launch_freeze(positions, motion.target, simulation._clock),
-            contact.launch_expel(motion),
+            contact.launch_freeze(motion, simulation._clock),
+            contact.launch_expel(motion, simulation._clock),
             contact.launch_follow(positions),
         ),
         "forces": simulation._record_gradient,

@@ -26,16 +26,14 @@ from .linear_solver import BlockSystem
 from .settle_safeguards import RESTLESS, SettleSafeguards
 from .surface import SurfaceMeasures
 from .time_integration import EarlierStep, step_inertia
-from .untangling import untangle_worlds
+from .untangling import MAX_PASSES, STEP_PASSES, untangle_worlds
 
 if TYPE_CHECKING:
     from scipy import sparse
 
 STANDARD_GRAVITY = 9.80665
-
 # A vertex that ends a step deeper in the body than this [m] is put on its skin.
 EXPELLED_DEPTH = 0.001
-
 # On its way to equilibrium a garment soon changes little: after so many linearisations ...
 YOUNG_ITERATIONS = 8
 # ... the coarse levels of a preconditioner serve for so many.
@@ -178,7 +176,7 @@ class ClothSimulation:
     def step(self, body_positions: ArrayLike, dt: float, *, guess: ArrayLike | None = None) -> None:
         """Advance by ``dt`` [s] while the body moves to ``body_positions`` [m].
 
-        The first step from rest, or from :meth:`start`, is one of backward Euler in any case.
+        The first step from rest, or from :meth:`start`, is one of backward Euler. Layers passed through come apart.
 
         Args:
             guess: Where to begin the search for the new positions [m], such as the garment carried along by the
@@ -192,9 +190,13 @@ class ClothSimulation:
         with self._elasticity.damped(self._positions, dt):
             self._positions.assign(inertia.target if guess is None else self._per_world(guess, "guess"))
             self._minimise(inertia.target, inertia.span)
-        self._velocities.assign(inertia.velocities(self._positions.numpy()))
+        reached = self.positions
+        self._velocities.assign(inertia.velocities(reached))
+        if self.untangle(STEP_PASSES).any():
+            self._contact.expel(self._positions, EXPELLED_DEPTH)
         if self.solver_settings.order == 2:
-            self._earlier = now
+            # What was drawn apart has no velocity from it: its past moves along.
+            self._earlier = EarlierStep(now.positions + (self.positions - reached), now.velocities, dt)
 
     def follow(self, body_positions: ArrayLike, carried: ArrayLike, dt: float = 1.0 / 30.0) -> None:
         """Advance without inertia while the body moves: the garment is carried along and then relaxes.
@@ -212,8 +214,8 @@ class ClothSimulation:
         self.untangle()
         self._rest()
 
-    def untangle(self) -> IntArray:
-        """Draw layers of the garment apart that have passed through each other, but not where the body does, too.
+    def untangle(self, max_passes: int = MAX_PASSES) -> IntArray:
+        """Draw layers apart that have passed through each other, in some passes, but not where the body does, too.
 
         Returns how many edges pierced triangles before, shape [world_count]; where there were 0, nothing has changed.
         """
@@ -221,7 +223,8 @@ class ClothSimulation:
             return np.zeros(self.world_count, np.int32)
         # A third of the thickness a pass, so that no layer is thrown over its neighbour.
         step = self.contact_settings.self_thickness / 3.0
-        positions, found = untangle_worlds(self.positions, self._surface, step, self.body_positions, self._body_faces)
+        bodies = self.body_positions, self._body_faces
+        positions, found = untangle_worlds(self.positions, self._surface, step, *bodies, max_passes)
         if found.any():
             self._positions.assign(positions)
         return found

@@ -21,6 +21,7 @@ from .cloth_contact import (
     reach_of,
 )
 from .cloth_model import ClothModel, FloatArray, IntArray
+from .facing import Facing
 from .threads import THREADS, run_side_by_side
 from .topology import group
 
@@ -90,6 +91,7 @@ class CoarseContact:
         self.candidate = self._zeros(self._count, wp.int32)
         self.found_from = self._zeros((1, self._count), wp.vec3d)
         self._outward = self._zeros((1, self._count), wp.vec3)
+        self._facing = Facing(model, self._faces, 1)
         self.gap = self._zeros(self._count, wp.float32)
         self.ahead, self.touching = self._zeros((1, self._count), wp.vec3d), self._zeros(self._count, wp.int32)
         self._none, self._all = self._zeros(1, wp.int32), wp.ones(1, dtype=wp.int32, device=device)
@@ -112,7 +114,7 @@ class CoarseContact:
     def find(self, positions: wp.array, skin: frame_steps.Path) -> None:
         """Look for what is near at the beginning of a frame (float64 [m], [1, vertex_count]): once for all its steps.
 
-        The skinned garment tells where each vertex's outside is.
+        The skinned garment tells where a vertex's outside is, or the garment itself where it has turned away from it.
         """
         for here, path in ((self.body.points, self.points), (self.body.normals, self.normals)):
             wp.copy(here, path.last.reshape(here.shape))
@@ -130,10 +132,10 @@ class CoarseContact:
         """Move the body to where it is at the end of the step."""
         self._launch(frame_steps.move_body, self.points.last.shape, [self.points, self.normals, clock, self.body], [])
 
-    def launch_freeze(self, positions: wp.array, target: wp.array, clock: wp.array) -> None:
-        """Freeze planes, friction and pairs at these positions [m]; without forces the garment flies to ``target``."""
-        c = self.frozen
-        self._launch_planes(positions, target)
+    def launch_freeze(self, motion: frame_steps.Motion, clock: wp.array) -> None:
+        """Freeze planes, friction and pairs where the garment is; without forces it flies to its target."""
+        c, positions, target = self.frozen, motion.positions, motion.target
+        self._launch_planes(motion, target, clock)
         inputs = [positions, target, self._area, self._laws[0], self.planes]
         self._launch(frame_steps.anticipate_contact, self._count, inputs, [self.ahead, self.touching])
         self._launch_anchors(positions, self._none)
@@ -146,9 +148,9 @@ class CoarseContact:
             inputs = [positions.flatten(), c]
             self._launch(assembly.pair_forces, self._pair_count, inputs, [self.pair_energy, self.pair_force])
 
-    def launch_expel(self, motion: frame_steps.Motion) -> None:
+    def launch_expel(self, motion: frame_steps.Motion, clock: wp.array) -> None:
         """Put vertices that the body has run over back to where contact holds them."""
-        self._launch_planes(motion.positions, motion.positions)
+        self._launch_planes(motion, motion.positions, clock)
         lengths = [wp.float64(length) for length in (EXPELLED_DEPTH, self.settings.depth, EXPELLED_STEP)]
         self._launch(frame_steps.expel_vertices, self._count, [self.planes, *lengths, motion], [self.gap])
 
@@ -156,9 +158,10 @@ class CoarseContact:
         """Let friction's anchors follow the vertices that slip."""
         self._launch_anchors(positions, self._all)
 
-    def _launch_planes(self, positions: wp.array, target: wp.array) -> None:
+    def _launch_planes(self, motion: frame_steps.Motion, target: wp.array, clock: wp.array) -> None:
         margin = wp.float64(self.settings.thickness + NEAR)
-        inputs = [positions, target, margin, self.body, self._lift, self.candidate, self.planes]
+        skin = [margin, self.body, self.points, self._lift]
+        inputs = [motion, target, self.gap, clock, *skin, self.candidate, self.planes]
         self._launch(frame_steps.follow_planes, self._count, inputs, [])
 
     def _launch_anchors(self, positions: wp.array, following: wp.array) -> None:
@@ -190,8 +193,10 @@ class CoarseContact:
         return int((gap.numpy() < 0.0).sum())
 
     def _find_candidates(self, positions: wp.array) -> None:
-        inputs = [positions, self._outward, self._limbs, self.body, self.points, self._reach]
-        self._launch(frame_steps.find_candidates, self._count, inputs, [self.found_from, self.candidate])
+        self._facing.set_outward(self._outward)
+        self._facing.turn(positions)
+        inputs = [positions, self._facing.directions, self._limbs, self.body, self.points, self._reach, self._lift]
+        self._launch(frame_steps.find_candidates, self._count, inputs, [self.found_from, self.candidate, self.gap])
 
     def _find_pairs(self, positions: wp.array) -> None:
         c = self.frozen

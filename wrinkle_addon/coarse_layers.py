@@ -105,6 +105,7 @@ class CoarseState:
         anchor_faces, anchor_weights: Where friction holds on, shape [1, 2 n] and [1, 2 n, 3].
         candidates: What of the body is closest to each vertex, shape [n].
         found_from: Where the vertices were when that was looked for [m], shape [1, n, 3].
+        heights: How far they are above where contact holds them [m], shape [n].
         body, skin: Where the body and the skinned garments were in the last two frames [m], shape [2, count, 3].
         last_step: Length of the last time step [s], 0 where the next one is a first, shape [1].
     """
@@ -117,6 +118,7 @@ class CoarseState:
     anchor_weights: NDArray[np.float32]
     candidates: IntArray
     found_from: FloatArray
+    heights: NDArray[np.float32]
     body: NDArray[np.float32]
     skin: NDArray[np.float32]
     last_step: FloatArray

@@ -146,6 +146,7 @@ class CoarseSimulation:
             anchor_weights=contact_.anchor_weights.numpy().copy(),
             candidates=contact_.candidate.numpy().copy(),
             found_from=contact_.found_from.numpy().copy(),
+            heights=contact_.gap.numpy().copy(),
             body=np.stack([points.last.numpy(), points.coming.numpy()]),
             skin=np.stack([skin.last.numpy(), skin.coming.numpy()]),
             last_step=np.array([self._last_step or 0.0]),
@@ -168,6 +169,7 @@ class CoarseSimulation:
         self._contact.anchor_weights.assign(state.anchor_weights)
         self._contact.candidate.assign(state.candidates)
         self._contact.found_from.assign(state.found_from)
+        self._contact.gap.assign(state.heights)
         self._last_step = float(state.last_step[0]) or None
         self._show()
 
@@ -281,7 +283,7 @@ class CoarseSimulation:
     def _record_contact(self) -> None:
         """What touches there."""
         self._contact.launch_move(self._clock)
-        self._contact.launch_freeze(self._motion.positions, self._motion.target, self._clock)
+        self._contact.launch_freeze(self._motion, self._clock)
 
     def _record_elasticity(self) -> None:
         """How the fabric resists there; it does not know what touches."""
@@ -303,7 +305,7 @@ class CoarseSimulation:
         positions = motion.positions
         self._launch(frame_steps.move_vertices, [self._system.solution, wp.float64(LONGEST_STEP), positions])
         self._launch(frame_steps.end_step, [self._clock, contact_.touching, contact_.planes, motion])
-        contact_.launch_expel(motion)
+        contact_.launch_expel(motion, self._clock)
         contact_.launch_follow(positions)
 
     def _record_gradient(self) -> None:

@@ -15,7 +15,16 @@ PACKAGE = Path(__file__).parent.parent
 KERNELS = "kernels/cloth"
 HOST = (
     *("body_proxy", "cloth_contact", "cloth_model", "coarse_contact", "coarse_layers", "coarse_simulation"),
-    *("elastic_elements", "elasticity", "fabrics", "linear_solver", "plate_bending", "time_integration", "topology"),
+    *(
+        "elastic_elements",
+        "elasticity",
+        "fabrics",
+        "facing",
+        "linear_solver",
+        "plate_bending",
+        "time_integration",
+        "topology",
+    ),
     "wearer",
 )
 """Modules beside this one that shape the motion of a coarse simulation; two of them, what it is given."""

@@ -17,6 +17,8 @@ from .cloth_model import FloatArray, IntArray
 from .surface import BodyVolume, SurfaceMeasures
 
 MAX_PASSES = 100
+# In a time step; what takes longer goes on coming apart in the next one.
+STEP_PASSES = 25
 # A tangle that has not got smaller for so many passes will not come apart.
 PATIENCE = 25
 # Edges flatter than this against the triangle they pierce count as no flatter: their places would run far.
@@ -26,7 +28,12 @@ SOFT_PULL = 0.1
 
 
 def untangle_worlds(
-    positions: FloatArray, surface: SurfaceMeasures, step: float, bodies: NDArray[np.float32], body_faces: IntArray
+    positions: FloatArray,
+    surface: SurfaceMeasures,
+    step: float,
+    bodies: NDArray[np.float32],
+    body_faces: IntArray,
+    max_passes: int = MAX_PASSES,
 ) -> tuple[FloatArray, IntArray]:
     """:func:`untangle` for every world, [world_count, vertex_count, 3], on bodies [world_count, body_vertex_count, 3].
 
@@ -35,7 +42,9 @@ def untangle_worlds(
     positions, found = positions.copy(), np.zeros(len(positions), np.int32)
     for world, garment in enumerate(positions):
         if len(surface.self_crossings(garment)[0]):
-            positions[world], pierced = untangle(garment, surface, step, BodyVolume(bodies[world], body_faces))
+            positions[world], pierced = untangle(
+                garment, surface, step, BodyVolume(bodies[world], body_faces), max_passes
+            )
             found[world] = pierced[0]
     return positions, found
 

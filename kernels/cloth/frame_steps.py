@@ -50,8 +50,12 @@ CLOSEST = wp.constant(wp.float32(1.0 + 1.0e-4))
 UNKNOWN = wp.constant(-2)
 SHORTEST_WAY = wp.constant(wp.float32(1.0e-6))
 
-# Triangles that a closest point moves over at most in a step.
-WALK_STEPS = wp.constant(8)
+# Triangles that a closest point moves over at most in a step, and those around a vertex that are looked at.
+WALK_STEPS = wp.constant(16)
+MOST_AROUND = wp.constant(12)
+
+# How much deeper than it moved a vertex may lie under skin that it was above [m], since skin bends as it moves.
+SIDE_ERROR = wp.constant(wp.float32(0.002))
 
 
 @wp.struct
@@ -198,16 +202,19 @@ def find_candidates(
     body: BodySurface,
     points: Path,
     reach: ContactReach,
+    lift: wp.array[wp.float64],
     # in and out
     found_from: wp.array2d[wp.vec3d],
     candidate: wp.array[wp.int32],
+    height: wp.array[wp.float32],
 ):
     """The body's closest triangle that each vertex can touch, -1 where there is none: once a frame (W45).
 
-    Nothing farther away than what was closest in the frame before needs to be looked at. Other skin that the vertex
-    lies under counts only where it came through it since then: the closest skin of an arm that swept over cloth hanging
-    from the trunk is that of its far side, to which the cloth would be drawn through the arm. ``found_from`` is where
-    the vertices were when the body was at its path's beginning [m]; it is left where they are now.
+    Nothing farther away than what was closest in the frame before needs to be looked at; and what was touched then can
+    still be, whichever way it faces now. Other skin that the vertex lies under counts only where it came through it
+    since then: the closest skin of an arm that swept over cloth hanging from the trunk is that of its far side, to
+    which the cloth would be drawn through the arm. ``found_from`` is where the vertices were when the body was at its
+    path's beginning [m], ``height`` how far above where contact holds them; both are left as they are now.
     """
     vertex = wp.tid()
     p = wp.vec3(positions[0, vertex])
@@ -220,19 +227,23 @@ def find_candidates(
     near.least_cosine = reach.least_cosine
     if held >= 0:
         facing = face_direction(body.points, body.faces, 0, held)
-        if is_worn(body.limb[held], limbs[vertex], facing, outward[0, vertex], reach.least_cosine):
-            near.radius = wp.min(reach.radius, CLOSEST * distance_to_triangle(body, p, held))
+        worn = is_worn(body.limb[held], limbs[vertex], facing, outward[0, vertex], reach.least_cosine)
+        if worn or height[vertex] < reach.thickness:
+            _w, away = approach(body, p, held)
+            near.radius = wp.min(reach.radius, CLOSEST * away)
         else:
             held = -1
     found, w, _passed = find_skin(body, near, 0, p, limbs[vertex], outward[0, vertex])
-    if found >= 0 and found != held and not unknown:
+    if found >= 0 and found != held:
         _closest, _direction, gap = side_of_skin(body, 0, p, found, w)
-        if gap < 0.0:
+        if gap < 0.0 and not unknown:
             found = skin_passed(body, points, found, start, p)
             if found >= 0:
                 facing = face_direction(body.points, body.faces, 0, found)
                 if not is_worn(body.limb[found], limbs[vertex], facing, outward[0, vertex], reach.least_cosine):
                     found = -1
+        if found >= 0:
+            height[vertex] = gap - wp.float32(lift[vertex])
     candidate[vertex] = wp.where(found >= 0, found, wp.max(held, -1))
 
 
@@ -257,53 +268,75 @@ def skin_passed(body: BodySurface, points: Path, near: wp.int32, start: wp.vec3,
 
 
 @wp.func
-def distance_to_triangle(body: BodySurface, p: wp.vec3, face: wp.int32) -> wp.float32:
-    """From a point to a triangle of the body [m]."""
+def walk_to_closest(body: BodySurface, p: wp.vec3, start: wp.int32):
+    """The triangle whose closest point to p is nearest, from triangle to triangle, and that point's coordinates."""
+    face = start
+    w, distance = approach(body, p, face)
+    for _ in range(WALK_STEPS):
+        # A point on an edge or at a corner may be nearer beyond.
+        across = wp.int32(-1)
+        corner = wp.where(w[0] == 1.0, 0, wp.where(w[1] == 1.0, 1, wp.where(w[2] == 1.0, 2, -1)))
+        if corner >= 0:
+            across = nearer_around(body, p, face, body.faces[face, corner], distance)
+        elif wp.min(w) <= 0.0:
+            across = body.beside[face, wp.where(w[0] <= 0.0, 0, wp.where(w[1] <= 0.0, 1, 2))]
+        if across < 0:
+            break
+        found, away = approach(body, p, across)
+        if away >= distance:
+            break
+        face = across
+        w = found
+        distance = away
+    return face, w
+
+
+@wp.func
+def nearer_around(body: BodySurface, p: wp.vec3, start: wp.int32, pivot: wp.int32, distance: wp.float32) -> wp.int32:
+    """The first triangle around the vertex ``pivot``, from ``start`` on, nearer to p than this [m]; -1 if none is."""
+    face = start
+    for _ in range(MOST_AROUND):
+        corner = wp.where(body.faces[face, 0] == pivot, 0, wp.where(body.faces[face, 1] == pivot, 1, 2))
+        face = body.beside[face, (corner + 1) % 3]
+        if face < 0 or face == start:
+            break
+        _w, away = approach(body, p, face)
+        if away < distance:
+            return face
+    return -1
+
+
+@wp.func
+def approach(body: BodySurface, p: wp.vec3, face: wp.int32):
+    """Coordinates of the closest point of a triangle of the body to p, and how far away it is [m]."""
     w = closest_point_on_triangle(
         p,
         body.points[0, body.faces[face, 0]],
         body.points[0, body.faces[face, 1]],
         body.points[0, body.faces[face, 2]],
     )
-    return wp.length(p - triangle_point(body.points, body.faces, 0, face, w))
+    return w, wp.length(p - triangle_point(body.points, body.faces, 0, face, w))
 
 
 @wp.func
-def walk_to_closest(body: BodySurface, p: wp.vec3, start: wp.int32):
-    """The triangle whose closest point to p is nearest, from triangle to triangle, and that point's coordinates."""
-    face = start
-    w = wp.vec3()
-    distance = NOWHERE
-    across = start
-    for _ in range(WALK_STEPS):
-        found = closest_point_on_triangle(
-            p,
-            body.points[0, body.faces[across, 0]],
-            body.points[0, body.faces[across, 1]],
-            body.points[0, body.faces[across, 2]],
-        )
-        away = wp.length(p - triangle_point(body.points, body.faces, 0, across, found))
-        if away >= distance:
-            break
-        face = across
-        w = found
-        distance = away
-        # A point on an edge or at a corner may be nearer beyond the edge from whose opposite corner it is away.
-        least = wp.min(w)
-        if least > 0.0:
-            break
-        across = body.beside[face, wp.where(w[0] == least, 0, wp.where(w[1] == least, 1, 2))]
-        if across < 0:
-            break
-    return face, w
+def drift_of_skin(points: Path, body: BodySurface, face: wp.int32, w: wp.vec3, clock: wp.array[wp.float64]) -> wp.vec3d:
+    """How far a place of the body goes in a step [m]."""
+    total = wp.vec3d()
+    for k in range(3):
+        corner = body.faces[face, k]
+        total += wp.float64(w[k]) * (path_point(points, corner, clock[END]) - path_point(points, corner, clock[START]))
+    return total
 
 
 @wp.kernel
 def follow_planes(
-    positions: wp.array2d[wp.vec3d],
+    motion: Motion,
     target: wp.array2d[wp.vec3d],
+    height: wp.array[wp.float32],
+    clock: wp.array[wp.float64],
     margin: wp.float64,
     body: BodySurface,
+    points: Path,
     lift: wp.array[wp.float64],
     # in and out
     candidate: wp.array[wp.int32],
@@ -311,21 +344,30 @@ def follow_planes(
 ):
     """Contact planes of the moving body from each vertex's candidate, lifted off the skin by ``lift`` [m] (W48).
 
-    There is none where a vertex, on its way from its position to its target, stays more than ``margin`` [m] above it.
+    There is none where a vertex, on its way from its position to its target, stays more than ``margin`` [m] above it;
+    nor where one that the last step left above skin (``height`` [m]) would now be deeper under it than it moved against
+    it: then it sees that skin from the side or through a limb, has lost its own, and looks for it at the next frame.
     """
     vertex = wp.tid()
     first = vertex * PLANES
     planes.face[0, first] = -1
     planes.face[0, first + 1] = -1
-    if candidate[vertex] >= 0:
-        x = positions[0, vertex]
-        face, w = walk_to_closest(body, wp.vec3(x), candidate[vertex])
-        candidate[vertex] = face
-        closest, direction, gap = side_of_skin(body, 0, wp.vec3(x), face, w)
-        closing = wp.max(wp.dot(x - target[0, vertex], wp.vec3d(direction)), wp.float64(0.0))
-        if wp.float64(gap) - closing < lift[vertex] + margin:
-            hold_plane(planes, body, 0, first, x, face, w, closest, direction, gap)
-            planes.point[0, first] = planes.point[0, first] + lift[vertex] * planes.normal[0, first]
+    if candidate[vertex] < 0:
+        return
+    x = motion.positions[0, vertex]
+    face, w = walk_to_closest(body, wp.vec3(x), candidate[vertex])
+    candidate[vertex] = face
+    closest, direction, gap = side_of_skin(body, 0, wp.vec3(x), face, w)
+    closing = wp.max(wp.dot(x - target[0, vertex], wp.vec3d(direction)), wp.float64(0.0))
+    if wp.float64(gap) - closing >= lift[vertex] + margin:
+        return
+    if gap < -SIDE_ERROR and height[vertex] + wp.float32(lift[vertex]) >= 0.0:
+        moved = x - motion.before[0, vertex] - drift_of_skin(points, body, face, w, clock)
+        if gap < -SIDE_ERROR - wp.max(-wp.dot(wp.vec3(moved), direction), 0.0):
+            candidate[vertex] = UNKNOWN
+            return
+    hold_plane(planes, body, 0, first, x, face, w, closest, direction, gap)
+    planes.point[0, first] = planes.point[0, first] + lift[vertex] * planes.normal[0, first]
 
 
 @wp.kernel

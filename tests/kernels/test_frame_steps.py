@@ -65,6 +65,10 @@ def ball(device):
 UNKNOWN = int(frame_steps.UNKNOWN)
 
 
+FAR_ABOVE = 1.0
+"""Height [m] of vertices that touch nothing."""
+
+
 def candidates(ball, device, known, came_from=None, moved=(0.0, 0.0, 0.0)):
     """What is close to points that were elsewhere, and to a ball that has moved by ``moved`` since."""
     positions, _, body, _, points, directions = ball
@@ -81,8 +85,10 @@ def candidates(ball, device, known, came_from=None, moved=(0.0, 0.0, 0.0)):
             body,
             path(device, positions - moved, positions, positions),
             reach_of(ContactSettings(radius=0.1)),
+            wp.zeros(count, dtype=wp.float64, device=device),
             found_from,
             found,
+            wp.full(count, FAR_ABOVE, dtype=wp.float32, device=device),
         ],
         device=device,
     )
@@ -145,9 +151,14 @@ def test_planes_follow_a_body_that_has_moved_on_and_lie_off_its_skin(device, bal
     count = len(points)
     planes, _ = make_planes(ContactSettings(), (1, 2 * count), device)
     held = wp.array(known, dtype=wp.int32, device=device)
-    places = wp.array(points[None], dtype=wp.vec3d, device=device)
+    motion = frame_steps.Motion()
+    motion.positions = motion.before = places = wp.array(points[None], dtype=wp.vec3d, device=device)
+    # Some lie in the ball, and must have been there before.
+    sunk = wp.full(count, -1.0, dtype=wp.float32, device=device)
+    clock = wp.zeros(frame_steps.CLOCK_SIZE, dtype=wp.float64, device=device)
+    still = path(device, *(body.points.numpy()[0] for _ in range(3)))
     lifts = wp.array(np.full(count, lift), dtype=wp.float64, device=device)
-    inputs = [places, places, wp.float64(1.0), body, lifts, held, planes]
+    inputs = [motion, places, sunk, clock, wp.float64(1.0), body, still, lifts, held, planes]
     wp.launch(frame_steps.follow_planes, dim=count, inputs=inputs, device=device)
     point, normal = planes.point.numpy()[0, ::2], planes.normal.numpy()[0, ::2]
     away = points - shift
