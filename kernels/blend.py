@@ -25,45 +25,41 @@ class Offsets:
     """Samples as offsets over skinning, each joint's only on the vertices that it moves.
 
     Vertices are dealt with in blocks of ``block_size``. The entries of joint J in block b, one a vertex, are
-    entry_start[J, b] to entry_start[J, b + 1], and offsets[start + entry] is a sample's.
+    entry_start[J, b] to entry_start[J, b + 1], and offsets[start + entry] is a sample's. entry_offset is room for what
+    they come to in a pose.
     """
 
     block_size: wp.int32
     entry_start: wp.array2d[wp.int32]
     entry_vertex: wp.array[wp.int32]
     entry_window: wp.array[wp.float32]
+    entry_offset: wp.array[wp.vec3]
     offsets: wp.array[wp.vec3]
 
 
 @wp.struct
 class Sums:
-    """What the joints' offsets have come to so far in every mesh, on every vertex; see :func:`join_offsets`."""
+    """What the joints' offsets come to in every mesh, on every vertex: their sum, and the largest share of one joint.
+
+    A share is a joint's offset projected on the sum, times the sum's length; see :func:`join_offsets`.
+    """
 
     total: wp.array2d[wp.vec3]
-    squares: wp.array2d[wp.vec3]
-    mixed: wp.array2d[wp.vec3]
+    largest: wp.array2d[wp.float32]
 
 
 @wp.func
-def mixed_products(offset: wp.vec3) -> wp.vec3:
-    """yz, zx and xy: what the outer product of an offset holds beside its squares."""
-    return wp.vec3(offset[1] * offset[2], offset[2] * offset[0], offset[0] * offset[1])
+def join_offsets(total: wp.vec3, largest: wp.float32) -> wp.vec3:
+    """What the joints' offsets do together, from their sum and the largest share of one joint in it.
 
-
-@wp.func
-def join_offsets(total: wp.vec3, squares: wp.vec3, mixed: wp.vec3) -> wp.vec3:
-    """What the joints' offsets do together, from their sum and the sums of their squares and mixed products.
-
-    Joints that pull cloth the same way do not pull it twice as far: two raised arms lift a hem hardly more than one.
-    So along the direction of the sum the offsets count by the root of their squares, unless they cancel, where the
-    plain sum is shorter. One joint alone keeps its offset as it is.
+    Joints that pull cloth the same way do not pull it farther: it goes where the one brings it that pulls most, or
+    comes to lie against the skin. So along its direction the sum is no longer than the longest of the joints' offsets
+    there. One joint alone keeps its offset as it is.
     """
-    length = wp.length(total)
-    if length == 0.0:
+    squared = wp.dot(total, total)
+    if squared <= largest:
         return total
-    direction = total / length
-    along = wp.dot(wp.cw_mul(direction, direction), squares) + 2.0 * wp.dot(mixed_products(direction), mixed)
-    return wp.min(length, wp.sqrt(wp.max(along, 0.0))) * direction
+    return (largest / squared) * total
 
 
 @wp.kernel
@@ -75,14 +71,12 @@ def join_all_offsets(
     """Offsets of every joint, shape [joint_count, vertex_count], joined on every vertex [m]."""
     vertex = wp.tid()
     total = wp.vec3()
-    squares = wp.vec3()
-    mixed = wp.vec3()
     for joint in range(offsets.shape[0]):
-        offset = offsets[joint, vertex]
-        total += offset
-        squares += wp.cw_mul(offset, offset)
-        mixed += mixed_products(offset)
-    joined[vertex] = join_offsets(total, squares, mixed)
+        total += offsets[joint, vertex]
+    largest = wp.float32(0.0)
+    for joint in range(offsets.shape[0]):
+        largest = wp.max(largest, wp.abs(wp.dot(total, offsets[joint, vertex])))
+    joined[vertex] = join_offsets(total, largest)
 
 
 @wp.func
@@ -98,8 +92,6 @@ def add_joint(
     sums: Sums,
 ):
     """Interpolate a joint's offsets multilinearly on every vertex of a block, and add them to a mesh's sums."""
-    if start[0] < 0:
-        return
     for entry in range(samples.entry_start[joint, block], samples.entry_start[joint, block + 1]):
         offset = wp.vec3()
         # Unrolled, with starts and weights in registers.
@@ -108,9 +100,24 @@ def add_joint(
                 offset += weight[corner] * samples.offsets[start[corner] + entry]
         offset = (strength * samples.entry_window[entry]) * offset
         vertex = samples.entry_vertex[entry]
+        samples.entry_offset[entry] = offset
         sums.total[mesh, vertex] = sums.total[mesh, vertex] + offset
-        sums.squares[mesh, vertex] = sums.squares[mesh, vertex] + wp.cw_mul(offset, offset)
-        sums.mixed[mesh, vertex] = sums.mixed[mesh, vertex] + mixed_products(offset)
+
+
+@wp.func
+def find_largest(
+    samples: Offsets,
+    block: wp.int32,
+    joint: wp.int32,
+    mesh: wp.int32,
+    # outputs
+    sums: Sums,
+):
+    """Compare a joint's shares in a mesh's sums on every vertex of a block with the largest so far."""
+    for entry in range(samples.entry_start[joint, block], samples.entry_start[joint, block + 1]):
+        vertex = samples.entry_vertex[entry]
+        share = wp.abs(wp.dot(sums.total[mesh, vertex], samples.entry_offset[entry]))
+        sums.largest[mesh, vertex] = wp.max(sums.largest[mesh, vertex], share)
 
 
 @wp.kernel
@@ -147,17 +154,19 @@ def blend_offsets(
     for mesh in range(positions.shape[0]):
         for vertex in range(begin, end):
             sums.total[mesh, vertex] = wp.vec3()
-            sums.squares[mesh, vertex] = wp.vec3()
-            sums.mixed[mesh, vertex] = wp.vec3()
+            sums.largest[mesh, vertex] = 0.0
     for joint in range(corner_start.shape[0]):
         if corner_start[joint][0] >= 0 and strength[joint] != 0.0:
             mesh = mesh_of_joint[joint]
             add_joint(samples, block, joint, corner_start[joint], corner_weight[joint], strength[joint], mesh, sums)
+    for joint in range(corner_start.shape[0]):
+        if corner_start[joint][0] >= 0 and strength[joint] != 0.0:
+            find_largest(samples, block, joint, mesh_of_joint[joint], sums)
     for vertex in range(begin, end):
         skinned = skinned_position(skin, matrices, vertex)
         turn = skinned_turn(skin, turns, vertex)
         for mesh in range(positions.shape[0]):
-            offset = join_offsets(sums.total[mesh, vertex], sums.squares[mesh, vertex], sums.mixed[mesh, vertex])
+            offset = join_offsets(sums.total[mesh, vertex], sums.largest[mesh, vertex])
             positions[mesh, vertex] = transform(placement, 0, skinned + wp.quat_rotate(turn, offset))
 
 

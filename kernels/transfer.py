@@ -6,7 +6,7 @@ order; the same input gives the same bits.
 
 import warp as wp
 
-from .blend import join_offsets, mixed_products
+from .blend import join_offsets
 
 wp.set_module_options({"enable_backward": False})
 
@@ -144,11 +144,9 @@ def join_meshes(
     """The first mesh with the other meshes' offsets from it joined, as joints' offsets over skinning are [m]."""
     u = first + wp.tid()
     total = wp.vec3()
-    squares = wp.vec3()
-    mixed = wp.vec3()
     for mesh in range(1, meshes.shape[0]):
-        offset = meshes[mesh, u] - meshes[0, u]
-        total += offset
-        squares += wp.cw_mul(offset, offset)
-        mixed += mixed_products(offset)
-    positions[u] = meshes[0, u] + join_offsets(total, squares, mixed)
+        total += meshes[mesh, u] - meshes[0, u]
+    largest = wp.float32(0.0)
+    for mesh in range(1, meshes.shape[0]):
+        largest = wp.max(largest, wp.abs(wp.dot(total, meshes[mesh, u] - meshes[0, u])))
+    positions[u] = meshes[0, u] + join_offsets(total, largest)

@@ -69,12 +69,12 @@ def offsets_over_skinning(method: JointWrinkles, pose: Pose, strength: Mapping[s
 
 
 def joined(offsets: Array) -> Array:
-    """The plain sum of offsets, shape [joint_count, n, 3], but no longer than the root of squares along it."""
+    """The plain sum of offsets, shape [joint_count, n, 3], but no longer than the longest of them along it."""
     total = offsets.sum(0)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     direction = total / np.where(length > 0.0, length, 1.0)
-    along = (offsets * direction).sum(2)
-    return direction * np.minimum(length[:, 0], np.sqrt((along**2).sum(0)))[:, None]
+    along = np.abs((offsets * direction).sum(2))
+    return direction * np.minimum(length[:, 0], along.max(0))[:, None]
 
 
 def papers_form(method: JointWrinkles, pose: Pose) -> Array:

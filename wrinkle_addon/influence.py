@@ -95,7 +95,7 @@ def influence_shares(influence: Mapping[str, FloatArray]) -> dict[str, FloatArra
 def influence_windows(influence: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """How far each joint's offsets count where the joint that acts most on a vertex has 1.
 
-    The root of its influence next to that joint's, because offsets are joined by their squares.
+    The root of its influence next to that joint's: one of a quarter of the influence still counts by half.
     """
     strongest = np.max(list(influence.values()), axis=0)
     return {name: np.sqrt(values / np.where(strongest > 0.0, strongest, 1.0)) for name, values in influence.items()}

@@ -283,6 +283,7 @@ class OffsetEvaluator(JointEvaluator):
         samples.entry_start = wp.array(np.stack(entry_starts), dtype=wp.int32, device=device)
         samples.entry_vertex = wp.array(np.concatenate(owners), dtype=wp.int32, device=device)
         samples.entry_window = wp.array(np.concatenate(windows), dtype=wp.float32, device=device)
+        samples.entry_offset = wp.zeros(entry_count, dtype=wp.vec3, device=device)
         samples.offsets = wp.array(np.concatenate(data or [np.zeros((0, 3))]), dtype=wp.vec3, device=device)
         self._samples = samples
         self._mesh_of_joint = HostArray((joints,), wp.int32, device)
@@ -312,10 +313,10 @@ class OffsetEvaluator(JointEvaluator):
         self._evaluate(pose, meshes, strength, placement)
 
     def _make_room(self, mesh_count: int) -> None:
+        shape = (mesh_count, self._vertex_count)
         self._sums = Sums()
-        for name in ("total", "squares", "mixed"):
-            room = wp.zeros((mesh_count, self._vertex_count), dtype=wp.vec3, device=self._device)
-            setattr(self._sums, name, room)
+        self._sums.total = wp.zeros(shape, dtype=wp.vec3, device=self._device)
+        self._sums.largest = wp.zeros(shape, dtype=wp.float32, device=self._device)
 
     def _evaluate(
         self, pose: Pose, meshes: wp.array, strength: Mapping[str, float] | float, placement: FloatArray | None

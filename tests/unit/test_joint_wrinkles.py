@@ -8,6 +8,7 @@ import warp as wp
 from baked_dolls import GRID, baked, bump, full_plan
 from dolls import Doll, doll, grid_of
 from synthesis_reference import about_axis, about_point, joined, offsets_over_skinning, papers_form
+from wrinkle_synthesis.kernels.blend import join_all_offsets
 from wrinkle_synthesis.wrinkle_addon import rotations
 from wrinkle_synthesis.wrinkle_addon.database import WrinkleDatabase, skin_frame
 from wrinkle_synthesis.wrinkle_addon.garment import Garment, SkinWeights
@@ -99,19 +100,37 @@ def test_the_kernel_agrees_with_the_reference(character: Doll, wrinkled: Wrinkle
         assert np.abs(evaluator.positions(pose, strength) - reference).max() < SINGLE
 
 
-def test_joints_that_pull_the_same_way_do_not_pull_twice():
+def test_joints_that_pull_the_same_way_do_not_pull_farther_than_one():
     up, down, aside = np.array([[[0.0, 0.0, 3.0]]]), np.array([[[0.0, 0.0, -1.0]]]), np.array([[[4.0, 0.0, 0.0]]])
     for offsets, expected in (
         ([up], 3.0),
-        ([up, up], 3.0 * np.sqrt(2.0)),
+        ([up, up], 3.0),
+        ([up, 0.5 * up, 0.2 * up], 3.0),
         # What cancels is added up plainly.
         ([up, down], 2.0),
         ([up, -up], 0.0),
         ([up, np.zeros_like(up)], 3.0),
-        # Across each other: each counts by its share along the sum, (9 + 16) / 5 would be the plain one.
-        ([up, aside], np.hypot(9.0, 16.0) / 5.0),
+        # Across each other: 16 / 5 along the sum, which would be 5 long.
+        ([up, aside], 16.0 / 5.0),
     ):
         assert np.isclose(np.linalg.norm(joined(np.concatenate(offsets))), expected)
+
+
+def test_joined_offsets_are_no_longer_than_their_sum_and_than_the_longest_of_them(device: str):
+    rng = np.random.default_rng(17)
+    # Of all sizes next to each other, some joints without any.
+    offsets = (
+        rng.normal(size=(5, 1000, 3)) * 10.0 ** rng.uniform(-4, -1, (5, 1000, 1)) * (rng.random((5, 1000, 1)) > 0.3)
+    )
+    given = wp.array(offsets.astype(np.float32), dtype=wp.vec3, device=device)
+    out = wp.zeros(offsets.shape[1], dtype=wp.vec3, device=device)
+    wp.launch(join_all_offsets, out.shape, [given], [out], device=device)
+    assert np.abs(out.numpy() - joined(offsets)).max() < SINGLE
+    lengths = np.linalg.norm(out.numpy(), axis=1)
+    assert (lengths <= np.linalg.norm(offsets, axis=2).max(0) + SINGLE).all()
+    assert (lengths <= np.linalg.norm(offsets.sum(0), axis=1) + SINGLE).all()
+    alone = (np.abs(offsets).max(2) > 0.0).sum(0) == 1
+    np.testing.assert_array_equal(out.numpy()[alone], given.numpy().sum(0)[alone])
 
 
 @pytest.mark.parametrize("formulation", [Formulation.OFFSETS, Formulation.PAPER])
