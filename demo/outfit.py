@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..wrinkle_addon.evaluate import OURS
 from ..wrinkle_addon.pc2 import PointCache, write_pc2
 from ..wrinkle_addon.surface import BodyVolume, SurfaceMeasures
 from .figures import FULL, Shapes, compare_sums, curvature_sums, root_mean_square_mm
 from .studio import open_garment, save
 
-SKINNING, COARSE, OURS = "skinning", "coarse simulation", "ours"
+COARSE = "coarse simulation"
 WHOLE = "outfit"
 """What is measured of all garments together goes by this name."""
 INSIDE = 0.001

@@ -20,20 +20,10 @@ from typing import Any
 
 import numpy as np
 
+from ..wrinkle_addon.evaluate import OURS
 from ..wrinkle_addon.pc2 import PointCache
-from .figures import FULL
-from .outfit import (
-    COARSE,
-    OURS,
-    SKINNING,
-    WHOLE,
-    join,
-    join_caches,
-    make_playing,
-    measure_outfit,
-    read_outfit,
-    wear_over,
-)
+from .figures import FULL, SKINNING
+from .outfit import COARSE, WHOLE, join, join_caches, make_playing, measure_outfit, read_outfit, wear_over
 from .picture import compose
 from .recipe import FULL as USUAL
 from .recipe import Recipe
@@ -125,7 +115,7 @@ class SequenceDemo(Demo):
         return {"databases": databases}
 
     def simulate_coarse(self) -> dict[str, Any]:
-        """`simulate`, of the coarse layers, together."""
+        """`simulate`, of the coarse layers together."""
         verb = ("simulate", self._scene, "--garment", self.recipe.garment)
         return {"coarse": self.results.keep("coarse", lambda: self._run(*verb))}
 
@@ -143,7 +133,9 @@ class SequenceDemo(Demo):
         return self.results.keep("synthesis", make)
 
     def _play(self, cache: Path, *, wrinkles: bool, coarse: bool) -> None:
-        """`synthesize` of every garment, into one cache."""
+        """`synthesize` of every garment, into one cache, unless it is there."""
+        if cache.exists():
+            return
         garments, playing = self.recipe.garments, self.out / "playing.blend"
         parts = [cache.with_name(f"{cache.stem}-{garment}.pc2") for garment in garments]
         with quiet():

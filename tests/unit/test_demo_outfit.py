@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from cloth_shapes import raised, sheet, sphere
 from wrinkle_synthesis.demo import outfit as outfits
-from wrinkle_synthesis.demo.figures import FULL
-from wrinkle_synthesis.demo.outfit import COARSE, OURS, SKINNING, WHOLE, Outfit, measure_outfit
+from wrinkle_synthesis.demo.figures import FULL, SKINNING
+from wrinkle_synthesis.demo.outfit import COARSE, WHOLE, Outfit, measure_outfit
+from wrinkle_synthesis.wrinkle_addon.evaluate import OURS
 from wrinkle_synthesis.wrinkle_addon.pc2 import PointCache, write_pc2
 
 OUTER, INNER = sheet(4, 4, 0.2, 0.2), sheet(2, 2, 0.2, 0.2)

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from wrinkle_synthesis.demo import packages
-from wrinkle_synthesis.demo.figures import FULL
+from wrinkle_synthesis.demo.figures import FULL, SKINNING
 from wrinkle_synthesis.demo.garment import GARMENTS
 from wrinkle_synthesis.demo.keyframes import FRAMES_PER_SECOND, MOTIONS, find_clip, keyframed
 from wrinkle_synthesis.demo.motion import CLIPS, part, to_rig
-from wrinkle_synthesis.demo.outfit import COARSE, OURS, SKINNING, WHOLE
+from wrinkle_synthesis.demo.outfit import COARSE, WHOLE
 from wrinkle_synthesis.demo.sequences import SEQUENCES, SequenceDemo, main, run_sequence, tabulate
+from wrinkle_synthesis.wrinkle_addon.evaluate import OURS
 
 HEAD_HEIGHT = 1.6
 """Of the clips' skeleton as it stands [m]."""
