@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cloth_shapes import raised, sheet, sphere
-from wrinkle_synthesis.demo import outfit as outfits
 from wrinkle_synthesis.demo.figures import FULL, SKINNING
-from wrinkle_synthesis.demo.outfit import COARSE, WHOLE, Outfit, measure_outfit
+from wrinkle_synthesis.demo.outfit import COARSE, WHOLE, Outfit, join_caches, measure_outfit
 from wrinkle_synthesis.wrinkle_addon.evaluate import OURS
 from wrinkle_synthesis.wrinkle_addon.pc2 import PointCache, write_pc2
 
@@ -72,50 +71,7 @@ def test_caches_of_garments_become_one_in_their_order(tmp_path: Path) -> None:
     shapes = [np.full((2, count, 3), count, np.float32) for count in (4, 3)]
     for part, frames in zip(parts, shapes, strict=True):
         write_pc2(part, frames.shape[1], 7.0, frames, 2)
-    outfits.join_caches(parts, tmp_path / "outfit.pc2")
+    join_caches(parts, tmp_path / "outfit.pc2")
     made = PointCache(tmp_path / "outfit.pc2")
     assert made.start == 7.0 and not any(part.exists() for part in parts)
     np.testing.assert_array_equal(made.frames, np.concatenate(shapes, axis=1))
-
-
-# --- in Blender ---------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def scene(tmp_path: Path) -> Path:
-    """A file with three garments, each with a vertex group of its own and one that all have."""
-    bpy = pytest.importorskip("bpy")
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    for number, name in enumerate(("coat", "shirt", "vest")):
-        mesh = bpy.data.meshes.new(name)
-        mesh.from_pydata([(0.0, 0.0, number), (1.0, 0.0, number), (0.0, 1.0, number)], [], [(0, 1, 2)])
-        mesh.materials.append(bpy.data.materials.new(name))
-        garment = bpy.data.objects.new(name, mesh)
-        bpy.context.scene.collection.objects.link(garment)
-        for group in ("bands", name):
-            garment.vertex_groups.new(name=group).add([0], 1.0, "REPLACE")
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
-    return tmp_path / "scene.blend"
-
-
-def test_each_garment_is_worn_over_the_next_one(scene: Path) -> None:
-    import bpy
-
-    outfits.wear_over(scene, ("coat", "shirt", "vest"))
-    bpy.ops.wm.open_mainfile(filepath=str(scene))
-    coat, shirt, vest = (bpy.data.objects[name].wrinkles for name in ("coat", "shirt", "vest"))
-    assert [coat.worn_over.name, shirt.worn_over.name, vest.worn_over] == ["shirt", "vest", None]
-    assert [coat.coarse_order, shirt.coarse_order, vest.coarse_order] == [2, 1, 0]
-
-
-def test_joined_garments_keep_their_order_their_groups_and_their_materials(scene: Path, tmp_path: Path) -> None:
-    import bpy
-
-    outfits.join(scene, ("coat", "shirt", "vest"), tmp_path / "joined.blend")
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "joined.blend"))
-    (garment,) = bpy.data.objects
-    heights = [round(vertex.co.z) for vertex in garment.data.vertices]
-    assert garment.name == "coat" and heights == [0, 0, 0, 1, 1, 1, 2, 2, 2]
-    assert {group.name for group in garment.vertex_groups} == {"bands", "coat", "shirt", "vest"}
-    assert [material.name for material in garment.data.materials] == ["coat", "shirt", "vest"]
-    assert [face.material_index for face in garment.data.polygons] == [0, 1, 2]
