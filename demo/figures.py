@@ -127,8 +127,8 @@ def compare_sums(sums: Mapping[str, NDArray[np.float64]]) -> dict[str, dict[str,
 
 
 def root_mean_square_mm(shapes: Shapes, reference: Shapes) -> float:
-    """Root mean square distance of vertices over all frames [mm]; shapes [frame_count, vertex_count, 3] in metres."""
-    return float(1e3 * np.sqrt(((shapes - reference) ** 2).sum(2).mean()))
+    """Root mean square distance of vertices [mm]; both shapes [vertex_count, 3] in metres, of one frame or of many."""
+    return float(1e3 * np.sqrt(((shapes - reference) ** 2).sum(-1).mean()))
 
 
 def draw_sums(frames: range, sums: Mapping[str, NDArray[np.float64]], path: Path) -> None:

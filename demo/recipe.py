@@ -11,7 +11,7 @@ class Recipe:
     """Choices of one demo.
 
     Attributes:
-        sex, garment, vertex_count: The character and what it wears.
+        sex, garment, vertex_count: The character, what it wears, and about how many vertices each garment has.
         clip: A motion-capture clip of :mod:`.motion`, or one of :mod:`.keyframes`.
         samples: Most samples to simulate; None is the paper's whole plan, over all that the joints can do.
         pictured_samples: So many samples are pictured, too, in rows of four.
@@ -27,7 +27,8 @@ class Recipe:
         repeats: How often the clip is played, one after the other.
         played: First and last frame of that; 0 is its end.
         stay: Whether the character stays in place.
-        coarse: Vertices of the coarse layer that the garment follows; 0 is none.
+        coarse: Vertices of the coarse layer that each garment follows; 0 is none.
+        worn_over: What the garment is worn over; empty for nothing but the body.
     """
 
     sex: str
@@ -51,6 +52,12 @@ class Recipe:
     played: tuple[int, int] = (1, 0)
     stay: bool = False
     coarse: int = 0
+    worn_over: str = ""
+
+    @property
+    def garments(self) -> tuple[str, ...]:
+        """All that is worn, the outermost first."""
+        return (self.garment, self.worn_over) if self.worn_over else (self.garment,)
 
     @property
     def choices(self) -> dict[str, Any]:

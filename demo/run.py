@@ -97,7 +97,7 @@ class Demo:
             for package in (packages.BODY, packages.MOTION):
                 packages.package_folder(package)
             with quiet():
-                build_character(self.out / "character.blend", recipe.sex, (recipe.garment,), recipe.vertex_count)
+                build_character(self.out / "character.blend", recipe.sex, recipe.garments, recipe.vertex_count)
             whole = resampled(repeated(find_clip(recipe.clip), recipe.repeats), FRAMES_PER_SECOND)
             clip = part(in_place(whole) if recipe.stay else whole, *recipe.played)
             write_clip(clip, self.out / "clip.bvh", FRAMES_PER_SECOND)
@@ -107,21 +107,11 @@ class Demo:
 
     def set_up(self) -> dict[str, Any]:
         """`animate`, `setup` and `plan`."""
-        recipe, out = self.recipe, self.out
 
         def make() -> dict[str, Any]:
-            animated = self._run(
-                "animate", out / "character.blend", "--motion", out / "clip.bvh", "--out", out / "animated.blend"
-            )
+            animated = self._animate()
             self.progress.update(0.3)
-            chosen = ("--full",)
-            if recipe.samples is not None:
-                chosen = ("--samples", str(recipe.samples), "--ranges", f"1:{animated['frames']}")
-            followed = ("--coarse", f"make:{recipe.coarse}") if recipe.coarse else ()
-            setup = self._run(
-                "setup", out / "animated.blend", "--garment", recipe.garment, "--body", "body",
-                "--subdivide", "0", "--pins", PIN_GROUP, *followed, *chosen, "--out", self._scene,
-            )  # fmt: skip
+            setup = self._set_up_garment(self.recipe.garment, self.out / "animated.blend", animated["frames"])
             self.progress.update(0.8)
             return {"frames": animated["frames"], "setup": setup, "plan": self._run("plan", self._scene)}
 
@@ -130,26 +120,50 @@ class Demo:
         note = f"{setup['vertices']} vertices, {len(setup['sampled'])} joints, {plan['simulated']} samples to simulate"
         return {**made, "note": note}
 
+    def _animate(self) -> dict[str, Any]:
+        out = self.out
+        return self._run(
+            "animate", out / "character.blend", "--motion", out / "clip.bvh", "--out", out / "animated.blend"
+        )
+
+    def _set_up_garment(self, garment: str, source: Path, frame_count: int) -> dict[str, Any]:
+        """`setup` of a garment of one file, into the scene."""
+        recipe = self.recipe
+        chosen = ("--full",)
+        if recipe.samples is not None:
+            chosen = ("--samples", str(recipe.samples), "--ranges", f"1:{frame_count}")
+        followed = ("--coarse", f"make:{recipe.coarse}") if recipe.coarse else ()
+        return self._run(
+            "setup", source, "--garment", garment, "--body", "body",
+            "--subdivide", "0", "--pins", PIN_GROUP, *followed, *chosen, "--out", self._scene,
+        )  # fmt: skip
+
     def bake(self) -> dict[str, Any]:
         """`bake`, which goes on by itself, and `info`."""
         total = self.results.read("set-up")["plan"]["simulated"]
+        database = self._bake_garment("bake", self.recipe.garment, total)
+        return {
+            "database": database,
+            "note": f"{database['samples']} samples, {database['sample_bytes'] / 1e6:.1f} MB",
+        }
+
+    def _bake_garment(
+        self, name: str, garment: str, total: int, start: float = 0.0, end: float = 1.0
+    ) -> dict[str, Any]:
+        """Bake a garment's samples, as a part of the stage, and keep what `info` tells by this name."""
 
         def listen(line: str) -> None:
             event = json.loads(line) if line.startswith("{") else {}
             if event.get("event") == "sample":
                 done = min(event["done"], total)
-                self.progress.update(done / total, f"sample {done} of {total}")
+                self.progress.update(start + (end - start) * done / total, f"sample {done} of {total}")
 
         def make() -> dict[str, Any]:
-            workers = ("--workers", str(self.recipe.processes))
-            self._run("bake", self._scene, *workers, "--progress", "json", listen=listen)
-            return self._run("info", self.out / f"{self.recipe.garment}.wrinkles")
+            told = ("--workers", str(self.recipe.processes), "--progress", "json")
+            self._run("bake", self._scene, "--garment", garment, *told, listen=listen)
+            return self._run("info", self.out / f"{garment}.wrinkles")
 
-        database = self.results.keep("bake", make)
-        return {
-            "database": database,
-            "note": f"{database['samples']} samples, {database['sample_bytes'] / 1e6:.1f} MB",
-        }
+        return self.results.keep(name, make)
 
     def synthesize(self) -> dict[str, Any]:
         """`synthesize` with wrinkles and without, and the file that plays them live."""
@@ -234,12 +248,17 @@ class Demo:
             with quiet():
                 for make_file, name in ((make_live, "wrinkles.blend"), (make_playback, "playback.blend")):
                     make_file(self._scene, recipe.garment, self._caches["synthesis"], self.out / name)
-            pictures = self._render(rows, "stills", recipe.picture_size, recipe.picture_rays, close=True)
-            corners = [[f"frame {frame}", "", ""] for frame in rows]
-            compose(pictures, list(self.columns.values()), corners, self.out / "side_by_side.png")
-            return {"pictured_frames": rows}
+            return self._picture_side_by_side(rows)
 
         return self.results.keep("pictures", make)
+
+    def _picture_side_by_side(self, frames: Sequence[int]) -> dict[str, Any]:
+        """Frames of the playback, as near as each allows."""
+        recipe = self.recipe
+        pictures = self._render(frames, "stills", recipe.picture_size, recipe.picture_rays, close=True)
+        corners = [[f"frame {frame}", "", ""] for frame in frames]
+        compose(pictures, list(self.columns.values()), corners, self.out / "side_by_side.png")
+        return {"pictured_frames": list(frames)}
 
     def film(self) -> dict[str, Any]:
         """The same three, over the simulated span."""

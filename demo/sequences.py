@@ -2,8 +2,9 @@
 
     python -m wrinkle_synthesis.demo.sequences stretching kicking --out sequences
 
-A man stretches in a long shirt and kicks and runs in trousers; a woman dances and points in a short shirt. Each
-sequence is a demo of its own, with a coarse layer under the wrinkles; another run goes on after the last one.
+A man in a long shirt over trousers stretches, kicks and runs; a woman in a short shirt over cropped trousers dances and
+points. Each sequence is a demo of its own: every garment is baked by itself, follows a coarse layer of its own, and is
+kept outside the one that it is worn over. Another run goes on after the last one.
 """
 
 from __future__ import annotations
@@ -19,43 +20,43 @@ from typing import Any
 
 import numpy as np
 
-from ..wrinkle_addon.database import WrinkleDatabase
+from ..wrinkle_addon.evaluate import OURS
 from ..wrinkle_addon.pc2 import PointCache
-from ..wrinkle_addon.surface import SurfaceMeasures
-from .figures import FULL, compare_sums, curvature_sums, root_mean_square_mm
-from .garment import GARMENTS
+from .figures import FULL, SKINNING
+from .outfit import COARSE, WHOLE, join, join_caches, make_playing, measure_outfit, read_outfit, wear_over
 from .picture import compose
 from .recipe import FULL as USUAL
 from .recipe import Recipe
+from .rendering import quiet
 from .run import Demo, hardest_frames
-
-COARSE, OURS = "coarse simulation", "ours"
+from .studio import make_playback
 
 MAN = replace(
     USUAL,
-    garment="trousers",
+    garment="shirt",
+    worn_over="trousers",
     vertex_count=5_000,
     samples=24,
     coarse=700,
     stay=True,
-    rows=2,
-    picture_size=(360, 400),
+    rows=1,
+    picture_size=(360, 480),
     picture_rays=10,
     expected={
-        "character": 10.0,
-        "set-up": 10.0,
+        "character": 15.0,
+        "set-up": 20.0,
         "bake": 300.0,
         "coarse simulation": 15.0,
-        "synthesis": 10.0,
-        "full simulation": 100.0,
-        "errors": 10.0,
-        "pictures": 90.0,
+        "synthesis": 30.0,
+        "full simulation": 150.0,
+        "errors": 30.0,
+        "pictures": 60.0,
     },
 )
-# A short shirt has less cloth: its edges are as long as the trousers'.
-WOMAN = replace(MAN, sex="female", garment="tshirt", vertex_count=3_500)
+# Smaller garments: their edges are as long.
+WOMAN = replace(MAN, sex="female", garment="tshirt", worn_over="cropped", vertex_count=3_500)
 SEQUENCES = {
-    "stretching": replace(MAN, garment="shirt", clip="stretch"),
+    "stretching": replace(MAN, clip="stretch"),
     # Hips and knees turn further than in any other.
     "kicking": replace(MAN, clip="kick", samples=36, played=(1, 40)),
     "running": replace(MAN, clip="run", repeats=2, played=(1, 40)),
@@ -65,7 +66,10 @@ SEQUENCES = {
 
 
 class SequenceDemo(Demo):
-    """A demo whose garment follows a coarse simulation, compared with the full one and with nothing else."""
+    """A demo of a whole outfit over coarse simulations, compared with the full one and with nothing else.
+
+    All point caches are of the outfit as one mesh.
+    """
 
     columns: Mapping[str, str] = {
         "coarse": "Coarse simulation", "synthesis": "Wrinkle Synthesis", "simulation": "Full simulation",
@@ -83,43 +87,101 @@ class SequenceDemo(Demo):
             "errors": self.measure,
             "pictures": self.picture,
         }
+        self._skinned, self._joined = out / "skinning.pc2", out / "outfit.blend"
+
+    def set_up(self) -> dict[str, Any]:
+        """`animate`; `setup` and `plan` of every garment; the file in which all are one mesh."""
+
+        def make() -> dict[str, Any]:
+            source, frame_count = self.out / "animated.blend", self._animate()["frames"]
+            garments = {}
+            for garment in self.recipe.garments:
+                setup = self._set_up_garment(garment, source, frame_count)
+                garments[garment] = {"setup": setup, "plan": self._run("plan", self._scene, "--garment", garment)}
+                source = self._scene
+            with quiet():
+                join(self._scene, self.recipe.garments, self._joined)
+                wear_over(self._scene, self.recipe.garments)
+            return {"frames": frame_count, "garments": garments}
+
+        return self.results.keep("set-up", make)
+
+    def bake(self) -> dict[str, Any]:
+        """`bake` of every garment by itself."""
+        garments, databases = self.results.read("set-up")["garments"], {}
+        for number, (garment, made) in enumerate(garments.items()):
+            share = number / len(garments), (number + 1) / len(garments)
+            databases[garment] = self._bake_garment(f"bake-{garment}", garment, made["plan"]["simulated"], *share)
+        return {"databases": databases}
 
     def simulate_coarse(self) -> dict[str, Any]:
-        """`simulate`, of the coarse layer."""
-        return {"coarse": self.results.keep("coarse", lambda: self._run("simulate", self._scene))}
+        """`simulate`, of the coarse layers together."""
+        verb = ("simulate", self._scene, "--garment", self.recipe.garment)
+        return {"coarse": self.results.keep("coarse", lambda: self._run(*verb))}
+
+    def synthesize(self) -> dict[str, Any]:
+        """`synthesize` by skinning alone, over the coarse layers without wrinkles, and with all."""
+
+        def make() -> dict[str, Any]:
+            self._play(self._skinned, wrinkles=False, coarse=False)
+            self.progress.update(0.3)
+            self._play(self._caches["coarse"], wrinkles=False, coarse=True)
+            self.progress.update(0.6)
+            self._play(self._caches["synthesis"], wrinkles=True, coarse=True)
+            return {}
+
+        return self.results.keep("synthesis", make)
+
+    def _play(self, cache: Path, *, wrinkles: bool, coarse: bool) -> None:
+        """`synthesize` of every garment, into one cache, unless it is there."""
+        if cache.exists():
+            return
+        garments, playing = self.recipe.garments, self.out / "playing.blend"
+        parts = [cache.with_name(f"{cache.stem}-{garment}.pc2") for garment in garments]
+        with quiet():
+            make_playing(self._scene, garments, playing, wrinkles=wrinkles, coarse=coarse)
+        for garment, part in zip(garments, parts, strict=True):
+            self._run("synthesize", playing, "--garment", garment, "--out", part)
+        playing.unlink()
+        join_caches(parts, cache)
 
     def simulate(self) -> dict[str, Any]:
-        """`simulate --fine`."""
+        """`simulate --fine` of the outfit as one mesh."""
         listen = self._frames_told(len(self._simulated), 0.0, 1.0)
-        self.results.keep("full", lambda: self._run(*self._full_simulation, listen=listen))
+        verb = ("simulate", self._joined, "--fine", "--out", self._caches["simulation"])
+        self.results.keep("full", lambda: self._run(*verb, listen=listen))
         return {}
 
     def measure(self) -> dict[str, Any]:
-        """`evaluate` against the recorded simulation, and what it does not tell."""
-        database = self.out / f"{self.recipe.garment}.wrinkles"
-        return {**super().measure(), "surfaces": self.results.keep("surfaces", lambda: self._compare(database))}
+        """Everything against the full simulation."""
+        garments = self.results.read("set-up")["garments"]
+        counts = {garment: made["setup"]["vertices"] for garment, made in garments.items()}
+        caches = {
+            SKINNING: self._skinned,
+            COARSE: self._caches["coarse"],
+            OURS: self._caches["synthesis"],
+            FULL: self._caches["simulation"],
+        }
 
-    def _compare(self, database: Path) -> dict[str, Any]:
-        garment = WrinkleDatabase.open(database).header.garment
-        names = {COARSE: "coarse", OURS: "synthesis", FULL: "simulation"}
-        first, last = self._simulated[0], self._simulated[-1]
-        shapes = {}
-        for name, cache in names.items():
-            recorded = PointCache(self._caches[cache])
-            shapes[name] = np.array(recorded.frames[first - round(recorded.start) : last + 1 - round(recorded.start)])
-        surface = SurfaceMeasures(garment.faces, garment.vertex_count)
-        crossings = {
-            name: [len(surface.self_intersections(shape.astype(np.float64))) for shape in frames]
-            for name, frames in shapes.items()
-        }
-        return {
-            "vertices": garment.vertex_count,
-            "rmse_mm": {name: root_mean_square_mm(frames, shapes[FULL]) for name, frames in shapes.items()},
-            "curvature": compare_sums(curvature_sums(surface, shapes)),
-            "self_intersections": {
-                name: {"mean": float(np.mean(counts)), "worst": max(counts)} for name, counts in crossings.items()
-            },
-        }
+        def make() -> dict[str, Any]:
+            with quiet():
+                outfit = read_outfit(self._joined, counts, self._simulated)
+            return measure_outfit(outfit, {name: np.array(PointCache(path).frames) for name, path in caches.items()})
+
+        return {"measured": self.results.keep("measured", make)}
+
+    def picture(self) -> dict[str, Any]:
+        """Side by side, the frames in which skinning is furthest from the simulation."""
+        frames = hardest_frames(self.results.read("measured")[WHOLE]["frames"], self.recipe.rows)
+
+        def make() -> dict[str, Any]:
+            with quiet():
+                make_playback(
+                    self._joined, self.recipe.garment, self._caches["simulation"], self.out / "playback.blend"
+                )
+            return self._picture_side_by_side(frames)
+
+        return self.results.keep("pictures", make)
 
     def finish(self, report: Mapping[str, Any]) -> dict[str, Any]:
         """Write what was measured into ``sequence.json``."""
@@ -132,13 +194,12 @@ class SequenceDemo(Demo):
 # --- all of them --------------------------------------------------------------------------------------------------
 
 
-def run_sequence(name: str, out: Path, garment: str | None = None, recipe: Recipe | None = None) -> dict[str, Any]:
+def run_sequence(name: str, out: Path, recipe: Recipe | None = None) -> dict[str, Any]:
     """Run a sequence into a folder of its own, or go on with it.
 
     Args:
         name: One of :data:`SEQUENCES`.
         out: Folder that the sequence's own is made in.
-        garment: What is worn instead of what the sequence shows.
         recipe: What to make; left out, the sequence's own.
 
     Raises:
@@ -146,38 +207,37 @@ def run_sequence(name: str, out: Path, garment: str | None = None, recipe: Recip
     """
     if name not in SEQUENCES:
         raise ValueError(f"The sequences are {', '.join(SEQUENCES)}; there is no {name!r}.")
-    chosen = recipe or SEQUENCES[name]
-    chosen = replace(chosen, garment=garment or chosen.garment)
-    return SequenceDemo(out / f"{name}-{chosen.garment}", chosen).run()
+    return SequenceDemo(out / name, recipe or SEQUENCES[name]).run()
 
 
 def tabulate(reports: Mapping[str, Mapping[str, Any]]) -> str:
-    """A row of Markdown for each sequence.
+    """A row of Markdown for each garment of each sequence, and one for its outfit.
 
     Errors are RMS to the full simulation. In brackets: the coarse simulation's curvature, what lies inside the body
-    where it cuts into itself, the full simulation's own pairs of triangles that pass through each other in a frame.
+    where it cuts into itself, the full simulation's own pairs of triangles that pass through each other in a frame, of
+    the outfit those of two garments alone.
     """
     lines = [
         "| | garment | vertices | samples | skinning | coarse | ours | curvature | correlation | inside | passing |",
         "|" + "---|" * 11,
     ]
     for name, report in reports.items():
-        played, surfaces = report["simulate"], report["surfaces"]
-        curvature, passing = surfaces["curvature"], surfaces["self_intersections"]
-        cells = (
-            name,
-            report["recipe"]["garment"],
-            f"{surfaces['vertices']:,}",
-            f"{report['database']['samples']}",
-            f"{played['rmse_mm']['skinning']:.1f} mm",
-            f"{surfaces['rmse_mm'][COARSE]:.1f} mm",
-            f"{played['rmse_mm'][OURS]:.1f} mm",
-            f"{played['curvature_ratio']:.2f} ({curvature[COARSE]['ratio']:.2f})",
-            f"{curvature[OURS]['correlation']:.2f}",
-            f"{100 * played['inside_share']:.2f} ({100 * played['inside_overlap_share']:.2f}) %",
-            f"{passing[OURS]['mean']:.0f} ({passing[FULL]['mean']:.0f})",
-        )
-        lines.append(f"| {' | '.join(cells)} |")
+        for garment, found in report["measured"].items():
+            errors, curvature = found["rmse_mm"], found["curvature"]
+            passing = found["between"] if garment == WHOLE else found["passing"]
+            samples = report["databases"][garment]["samples"] if garment != WHOLE else ""
+            cells = (
+                name,
+                garment,
+                f"{found['vertices']:,}",
+                f"{samples}",
+                *(f"{errors[made]:.1f} mm" for made in (SKINNING, COARSE, OURS)),
+                f"{curvature[OURS]['ratio']:.2f} ({curvature[COARSE]['ratio']:.2f})",
+                f"{curvature[OURS]['correlation']:.2f}",
+                f"{100 * found['inside'][OURS]:.2f} ({100 * found['inside_overlap'][OURS]:.2f}) %",
+                f"{passing[OURS]:.0f} ({passing[FULL]:.0f})",
+            )
+            lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
@@ -187,7 +247,7 @@ def draw_sheet(folders: Mapping[str, Path], reports: Mapping[str, Mapping[str, A
     rows, corners = [], []
     for name, folder in folders.items():
         # The furthest is among the pictured ones, which are the hardest that lie apart.
-        (frame,) = hardest_frames(reports[name]["simulate"]["frames"], 1)
+        (frame,) = hardest_frames(reports[name]["measured"][WHOLE]["frames"], 1)
         rows.append([folder / "stills" / f"{column}-{frame:04d}.png" for column in columns])
         corners.append([f"{name}, frame {frame}", "", ""])
     compose(rows, list(columns.values()), corners, path)
@@ -197,17 +257,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="The five sequences of Wang et al. (2010).")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(SEQUENCES)}; left out, all five")
     parser.add_argument("--out", type=Path, default=Path("sequences"), help="folder for the results")
-    parser.add_argument("--garment", choices=GARMENTS, help="left out, what the sequence shows")
     options = parser.parse_args(arguments)
-    reports, folders = {}, {}
+    reports = {}
     for name in options.names or SEQUENCES:
         try:
-            reports[name] = run_sequence(name, options.out, options.garment)
+            reports[name] = run_sequence(name, options.out)
         except ValueError as error:
             print(f"sequences: {error}", file=sys.stderr)
             return 2
-        folders[name] = options.out / f"{name}-{reports[name]['recipe']['garment']}"
-    draw_sheet(folders, reports, options.out / "sequences.jpg")
+    draw_sheet({name: options.out / name for name in reports}, reports, options.out / "sequences.jpg")
     print(tabulate(reports))
     return 0
 

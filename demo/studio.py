@@ -31,6 +31,7 @@ WALL, BEND, WIDTH = 2.0, 1.5, 8.0
 SKIN = ((0.40, 0.30, 0.25), 0.55)
 LEGGINGS = ((0.028, 0.03, 0.036), 0.7)
 CLOTH = ((0.10, 0.22, 0.30), 0.9)
+CLOTH_BENEATH = ((0.30, 0.24, 0.17), 0.9)
 BANDS = ((0.06, 0.14, 0.20), 0.9)
 GROUND = ((0.30, 0.30, 0.31), 0.9)
 ARM_PARTS = ("arm", "hand", "finger", "thumb")
@@ -192,15 +193,18 @@ def _is_covered(skin: FloatArray, garment: Any) -> NDArray[np.bool_]:
 
 
 def _dress_garment(garment: Any) -> None:
-    """Paint the garment, and its ribbed bands darker."""
+    """Paint the garment, its ribbed bands darker, and otherwise what was joined to it and is worn beneath."""
     _paint(garment, CLOTH)
+    for slot in range(1, len(garment.data.materials)):
+        garment.data.materials[slot] = _material("cloth beneath", CLOTH_BENEATH)
     bands = garment.vertex_groups.get(garment.wrinkles.pin_group)
     if bands is None:
         return
     garment.data.materials.append(_material("bands", BANDS))
     in_band = [any(e.group == bands.index for e in vertex.groups) for vertex in garment.data.vertices]
     for face in garment.data.polygons:
-        face.material_index = int(all(in_band[i] for i in face.vertices))
+        if all(in_band[i] for i in face.vertices):
+            face.material_index = len(garment.data.materials) - 1
 
 
 def _paint(thing: Any, look: tuple[tuple[float, float, float], float]) -> None:

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 import pytest
 from small_character import Arm, Bumps, bake_bumps, build_arm, empty_scene, evaluated_positions
+from wrinkle_synthesis.wrinkle_addon.bake import SampleShape, bake
 from wrinkle_synthesis.wrinkle_addon.blender import playback
 from wrinkle_synthesis.wrinkle_addon.garment import bind_to_surface
 from wrinkle_synthesis.wrinkle_addon.pc2 import PointCache
@@ -68,6 +69,28 @@ def test_the_outer_garment_is_pushed_out_of_the_inner_one(arm: Arm) -> None:
         assert note() == ""
         # Both lay on each other at rest, so that the settled height is 0; half of the softness is left out.
         assert heights(arm).min() > -0.001
+
+
+class Shrunk(Bumps):
+    """The sleeve settled narrower than it was modelled."""
+
+    def rest(self) -> SampleShape:
+        return SampleShape(self.job.garment.positions * [1.0, 0.96, 0.96], {})
+
+
+def test_an_outer_garment_that_settled_inside_the_inner_one_is_worn_over_it_as_modelled(
+    arm: Arm, tmp_path: Path
+) -> None:
+    shrunk = Shrunk(Arm(arm.armature, coat(), arm.rig).job())
+    for _ in bake(shrunk.job, shrunk, tmp_path / "shrunk.wrinkles"):
+        pass
+    settings, scene = coat().wrinkles, bpy.context.scene
+    settings.database, settings.worn_over = str(tmp_path / "shrunk.wrinkles"), None
+    scene.frame_set(1)
+    assert heights(arm).max() < -0.002
+    settings.worn_over = arm.sleeve
+    scene.frame_set(2)
+    assert note() == "" and heights(arm).min() > -0.001
 
 
 def test_frames_have_the_same_bits_in_any_order_whichever_object_comes_first(arm: Arm) -> None:

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from wrinkle_synthesis.demo import packages
-from wrinkle_synthesis.demo.figures import FULL
+from wrinkle_synthesis.demo.figures import FULL, SKINNING
 from wrinkle_synthesis.demo.garment import GARMENTS
 from wrinkle_synthesis.demo.keyframes import FRAMES_PER_SECOND, MOTIONS, find_clip, keyframed
 from wrinkle_synthesis.demo.motion import CLIPS, part, to_rig
-from wrinkle_synthesis.demo.sequences import COARSE, OURS, SEQUENCES, SequenceDemo, main, run_sequence, tabulate
+from wrinkle_synthesis.demo.outfit import COARSE, WHOLE
+from wrinkle_synthesis.demo.sequences import SEQUENCES, SequenceDemo, main, run_sequence, tabulate
+from wrinkle_synthesis.wrinkle_addon.evaluate import OURS
 
 HEAD_HEIGHT = 1.6
 """Of the clips' skeleton as it stands [m]."""
@@ -69,8 +71,9 @@ def test_a_clip_is_found_by_its_name_and_a_part_of_it_begins_at_zero() -> None:
 def test_the_sequences_are_the_papers() -> None:
     men = {name for name, recipe in SEQUENCES.items() if recipe.sex == "male"}
     assert men == {"stretching", "kicking", "running"} and set(SEQUENCES) - men == {"dancing", "pointing"}
-    for recipe in SEQUENCES.values():
-        assert recipe.clip in (*CLIPS, *MOTIONS) and recipe.garment in GARMENTS and recipe.coarse > 0
+    for name, recipe in SEQUENCES.items():
+        assert recipe.garments == (("shirt", "trousers") if name in men else ("tshirt", "cropped"))
+        assert recipe.clip in (*CLIPS, *MOTIONS) and set(recipe.garments) <= set(GARMENTS) and recipe.coarse > 0
 
 
 @pytest.mark.parametrize("name", SEQUENCES)
@@ -79,24 +82,22 @@ def test_a_sequence_expects_a_time_of_every_stage(tmp_path: Path, name: str) -> 
 
 
 def test_the_table_tells_what_was_measured() -> None:
-    report: dict[str, Any] = {
-        "recipe": {"garment": "tshirt"},
-        "database": {"samples": 49},
-        "simulate": {
-            "rmse_mm": {"skinning": 30.0, "ours": 12.0}, "curvature_ratio": 0.9,
-            "inside_share": 0.002, "inside_overlap_share": 0.0015,
-        },
-        "surfaces": {
-            "vertices": 3_500,
-            "rmse_mm": {COARSE: 14.0, OURS: 12.0, FULL: 0.0},
-            "curvature": {COARSE: {"ratio": 0.6}, OURS: {"ratio": 0.9, "correlation": 0.85}},
-            "self_intersections": {OURS: {"mean": 2.0, "worst": 5}, FULL: {"mean": 1.0, "worst": 3}},
-        },
-    }  # fmt: skip
-    row = tabulate({"dancing": report}).splitlines()[-1]
-    assert row == (
-        "| dancing | tshirt | 3,500 | 49 | 30.0 mm | 14.0 mm | 12.0 mm | 0.90 (0.60) | 0.85 | 0.20 (0.15) % | 2 (1) |"
-    )
+    garment: dict[str, Any] = {
+        "vertices": 3_500,
+        "rmse_mm": {SKINNING: 30.0, COARSE: 14.0, OURS: 12.0, FULL: 0.0},
+        "curvature": {COARSE: {"ratio": 0.6}, OURS: {"ratio": 0.9, "correlation": 0.85}},
+        "inside": {OURS: 0.002, FULL: 0.0},
+        "inside_overlap": {OURS: 0.0015, FULL: 0.0},
+        "passing": {COARSE: 0.0, OURS: 2.0, FULL: 1.0},
+    }
+    whole = {**garment, "vertices": 7_000, "between": {COARSE: 0.0, OURS: 5.0, FULL: 3.0}}
+    report = {"databases": {"tshirt": {"samples": 49}}, "measured": {"tshirt": garment, WHOLE: whole}}
+    shared = "30.0 mm | 14.0 mm | 12.0 mm | 0.90 (0.60) | 0.85 | 0.20 (0.15) %"
+    assert tabulate({"dancing": report}).splitlines()[2:] == [
+        f"| dancing | tshirt | 3,500 | 49 | {shared} | 2 (1) |",
+        # Of the whole, pairs of two garments.
+        f"| dancing | outfit | 7,000 |  | {shared} | 5 (3) |",
+    ]
 
 
 def test_an_unknown_sequence_is_refused_with_those_there_are(tmp_path: Path, capsys: Any) -> None:
@@ -119,12 +120,14 @@ def test_a_small_sequence_is_made_and_not_made_again(tmp_path: Path) -> None:
         vertex_count=1_200, coarse=200, samples=3, played=(1, 4), rows=1, picture_size=(90, 100), picture_rays=1,
     )  # fmt: skip
     made = run_sequence("pointing", tmp_path, recipe=small)
-    folder = tmp_path / "pointing-tshirt"
-    assert json.loads((folder / "sequence.json").read_text(encoding="utf-8"))["surfaces"] == made["surfaces"]
-    assert made["coarse"]["frames"] == made["simulate"]["frame_count"] == 4
-    # The two ways to the same figure: of the caches, and of what is played.
-    assert made["surfaces"]["rmse_mm"][OURS] == pytest.approx(made["simulate"]["rmse_mm"]["ours"], abs=0.01)
+    folder = tmp_path / "pointing"
+    assert json.loads((folder / "sequence.json").read_text(encoding="utf-8"))["measured"] == made["measured"]
+    assert list(made["measured"]) == list(made["databases"]) + [WHOLE] == ["tshirt", "cropped", WHOLE]
+    assert made["coarse"]["garments"] == ["cropped", "tshirt"] and made["coarse"]["frames"] == 4
+    assert [frame["frame"] for frame in made["measured"][WHOLE]["frames"]] == [1, 2, 3, 4]
+    errors = made["measured"][WHOLE]["rmse_mm"]
+    assert 0.0 < errors[OURS] < errors[SKINNING]
     assert (folder / "side_by_side.png").stat().st_size > 0
     before = {path: path.stat().st_mtime_ns for path in folder.glob("*.pc2")}
-    assert len(before) == 3 and run_sequence("pointing", tmp_path, recipe=small)["surfaces"] == made["surfaces"]
+    assert len(before) == 4 and run_sequence("pointing", tmp_path, recipe=small)["measured"] == made["measured"]
     assert {path: path.stat().st_mtime_ns for path in folder.glob("*.pc2")} == before

@@ -124,8 +124,11 @@ def _push_out_of(outer: WrinkleDatabase, inner: WrinkleDatabase, device: str) ->
 
 
 def bind_to_garment(outer: WrinkleDatabase, inner: WrinkleDatabase) -> ClearanceBinding:
-    """Bind a database's settled garment to another one's, both at rest on one rig."""
+    """Bind a database's garment to another one's, both as they were modelled on one rig.
+
+    Each settled without the other, so that at rest one may lie in the other; as modelled they are worn.
+    """
     header, worn = outer.header, inner.header.garment
-    surface = Body(inner.rest, worn.faces, worn.weights.to_dense(header.rig.bone_count))
+    surface = Body(worn.positions, worn.faces, worn.weights.to_dense(header.rig.bone_count))
     limbs = worn_limbs(header.rig, header.garment, surface)
-    return bind_clearance(outer.rest, header.garment.faces, surface.positions, surface.faces, limbs)
+    return bind_clearance(header.garment.positions, header.garment.faces, surface.positions, surface.faces, limbs)
