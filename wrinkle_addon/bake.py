@@ -32,7 +32,7 @@ from .plan import Sample, SamplePlan
 from .rig import FloatArray, Pose, Rig, pose_of_angles
 from .wearer import BakeSettings, BodySource, Wearer
 
-SOLVER_VERSION = 6
+SOLVER_VERSION = 7
 """Raised whenever the solver gives other samples for the same input, so that old ones are not taken for new."""
 
 STATES = "states"
