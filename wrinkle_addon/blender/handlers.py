@@ -14,7 +14,8 @@ from . import coarse_playing, correction_undo, playback
 from .made_behind import look, tag_garments
 from .node_group import NO_FRAME, find_modifier, get_input, set_input
 from .relative_paths import keep_paths, remap_paths
-from .write import show_skinned, wake_skinning
+from .skinning_rest import let_skinning_rest, wake_skinning
+from .write import show_skinned
 
 RENDER_FAILED = 3
 """Exit code of a background process in which a garment could not be played."""
@@ -86,13 +87,13 @@ def play_changes(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None
 @persistent
 def begin_animation(scene: bpy.types.Scene | None = None, depsgraph: bpy.types.Depsgraph | None = None) -> None:
     """A window plays the animation from now on: a frame follows a frame, and all of them come by here."""
-    playback.let_skinning_rest(True)
+    let_skinning_rest(True)
 
 
 @persistent
 def end_animation(scene: bpy.types.Scene | None = None, depsgraph: bpy.types.Depsgraph | None = None) -> None:
     """The animation stands still; modifiers are as the artist left them."""
-    playback.let_skinning_rest(False)
+    let_skinning_rest(False)
 
 
 # --- the file -----------------------------------------------------------------------------------------------------

@@ -34,10 +34,10 @@ from .first_start import first_start
 from .inner_clearance import InnerClearance, InnerGarment, garments_under
 from .made_behind import NotReady, begin, take
 from .matching import check_mesh, glance_at, match_rig
-from .node_group import find_modifier, shows_all
 from .preferences import device_name
 from .render_lock import lock_interface
-from .write import make_writable, rest_skinning, show_positions, show_skinned, wake_skinning
+from .skinning_rest import let_rest, wake_skinning
+from .write import make_writable, show_positions, show_skinned
 
 if TYPE_CHECKING:
     from .flow_playback import FlowFile
@@ -449,17 +449,6 @@ def _ready_player(garment: bpy.types.Object, known: Status, depsgraph: bpy.types
     return player
 
 
-def let_rest(garment: bpy.types.Object, evaluated: bpy.types.Object) -> None:
-    """Leave out the skinning of a garment that is shown in full while the animation plays."""
-    (rest_skinning if _animation.plays and _is_covered(evaluated) else wake_skinning)(garment)
-
-
-def _is_covered(evaluated: bpy.types.Object) -> bool:
-    """Whether played positions leave nothing of the skinned shape to see; Factor and Mask may be animated."""
-    modifier = find_modifier(evaluated)
-    return modifier is not None and shows_all(modifier)
-
-
 def _player(
     garment: bpy.types.Object, source: Source | FlowFile, known: Status, depsgraph: bpy.types.Depsgraph
 ) -> Player:
@@ -495,25 +484,6 @@ def _doubt(known: Status) -> None:
     known.failed = None
     if known.player is not None:
         known.player.doubt()
-
-
-@dataclass
-class Animation:
-    """Whether a window plays the animation: then a frame follows a frame, and each is played here."""
-
-    plays: bool = False
-
-
-_animation = Animation()
-
-
-def let_skinning_rest(may: bool) -> None:
-    """Whether garments go without their Armature modifiers where nobody sees them; all get them back if not."""
-    _animation.plays = may
-    if not may:
-        for ob in bpy.data.objects:
-            if ob.type == "MESH":
-                wake_skinning(ob)
 
 
 def doubt(garment: bpy.types.Object) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .node_group import ATTRIBUTE, NO_FRAME, add_modifier, find_modifier, get_input, set_input, wake_group
+from .skinning_rest import wake_skinning
 
 
 def make_writable(garment: bpy.types.Object) -> None:
@@ -56,31 +57,3 @@ def show_skinned(garment: bpy.types.Object) -> None:
     if modifier is not None and get_input(modifier, "Frame") != NO_FRAME:
         set_input(modifier, "Frame", NO_FRAME)
         garment.update_tag(refresh={"DATA"})
-
-
-# --- skinning that nobody sees ------------------------------------------------------------------------------------
-
-
-def rest_skinning(garment: bpy.types.Object) -> None:
-    """Switch off the viewport's Armature modifier of a garment whose played positions cover all that it does.
-
-    Blender would evaluate it twice a frame, before and after the positions are written: a third of a frame's time.
-    One that the artist switched off is left alone.
-    """
-    armatures = [] if garment.wrinkles.skinning_rests else _armature_modifiers(garment)
-    if armatures and all(armature.show_viewport for armature in armatures):
-        garment.wrinkles.skinning_rests = True
-        for armature in armatures:
-            armature.show_viewport = False
-
-
-def wake_skinning(garment: bpy.types.Object) -> None:
-    """Switch on again what :func:`rest_skinning` switched off."""
-    if garment.wrinkles.skinning_rests:
-        garment.wrinkles.skinning_rests = False
-        for armature in _armature_modifiers(garment):
-            armature.show_viewport = True
-
-
-def _armature_modifiers(garment: bpy.types.Object) -> list[bpy.types.ArmatureModifier]:
-    return [modifier for modifier in garment.modifiers if modifier.type == "ARMATURE"]
