@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ..kernels.cloth import assembly, body_surface, contact, frame_steps, layers
+from ..kernels.cloth.touched_walls import ContactPlanes
 from .cloth_contact import (
     ContactSettings,
     Limbs,
@@ -168,8 +169,8 @@ class CoarseContact:
         c, width = self.frozen, int(frame_steps.PLANES)
         for part, law in zip(self._model.parts, self._laws, strict=True):
             rows = slice(width * part.vertices.start, width * part.vertices.stop)
-            planes = type(self.planes)()
-            for name in ("face", "weights", "point", "normal", "hollow"):
+            planes = ContactPlanes()
+            for name in ContactPlanes.vars:
                 setattr(planes, name, getattr(self.planes, name)[:, rows])
             inputs = [positions[:, part.vertices], self._area[part.vertices], self.body, planes, law, following]
             found = [values[:, rows] for values in (self.anchor_face, self.anchor_weights, c.anchor, c.friction_bound)]
