@@ -58,6 +58,37 @@ def test_the_push_may_be_left_to_renders_and_files(scene: bpy.types.Scene, arm: 
     assert np.abs(PointCache(tmp_path / "clear.pc2").frames[5] - alone).max() > 0.005
 
 
+@pytest.mark.parametrize(("in_viewport", "in_render"), [("QUICK", "FULL"), ("FULL", "QUICK")])
+def test_the_push_may_be_left_out_in_the_viewport_or_in_renders(
+    scene: bpy.types.Scene, arm: Arm, in_viewport: str, in_render: str
+) -> None:
+    settings = arm.sleeve.wrinkles
+    scene.frame_set(6)
+    shapes = {"FULL": evaluated_positions(arm.sleeve), "QUICK": synthesised(scene, arm, 6)}
+    settings.viewport_detail, settings.render_detail = in_viewport, in_render
+    bpy.ops.object.camera_add()
+    scene.camera, scene.render.engine = bpy.context.object, "BLENDER_WORKBENCH"
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    rendered: list[np.ndarray] = []
+
+    def remember(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+        if depsgraph.mode == "RENDER":
+            bpy.context.view_layer.update()
+            player = playback.status(arm.sleeve).player
+            assert player is not None
+            rendered.append(player.positions.copy())
+
+    bpy.app.handlers.frame_change_post.append(remember)
+    try:
+        bpy.ops.render.render()
+    finally:
+        bpy.app.handlers.frame_change_post.remove(remember)
+    # A render evaluates its own copies of the matrices.
+    np.testing.assert_allclose(rendered[-1], shapes[in_render], atol=1e-6)
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(evaluated_positions(arm.sleeve), shapes[in_viewport], atol=1e-6)
+
+
 def test_a_played_garment_is_outside_its_body(scene: bpy.types.Scene, arm: Arm) -> None:
     arm.sleeve.wrinkles.clear_of_body = False
     scene.frame_set(6)

@@ -7,6 +7,9 @@ import numpy as np
 
 from .node_group import find_modifier
 
+FULL_DETAIL = "FULL"
+"""Of what a viewport or a render may show of a garment, all."""
+
 
 def is_culled(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
     """Whether Cycles will cull a garment because the camera does not see it.

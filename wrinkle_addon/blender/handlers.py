@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import bpy
 from bpy.app.handlers import persistent
@@ -80,8 +81,34 @@ def play_changes(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None
 
     Showing a garment is a change, too, and calls this again; then all is as it was, and nothing is done.
     """
-    if not bpy.app.is_job_running("RENDER"):
+    if not (_render.goes_on or bpy.app.is_job_running("RENDER")):
         playback.play_scene(scene, depsgraph, only_changes=True)
+
+
+@dataclass
+class Render:
+    """Whether the background renders; what the viewport would show is not to come in between."""
+
+    goes_on: bool = False
+
+
+_render = Render()
+
+
+@persistent
+def begin_render(scene: bpy.types.Scene | None = None, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """Frames are the render's from now on."""
+    _render.goes_on = bpy.app.background
+
+
+@persistent
+def end_render(scene: bpy.types.Scene | None = None, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """The viewport shows its own detail again."""
+    _render.goes_on = False
+    if bpy.app.background:
+        tag_garments()
+    elif not bpy.app.timers.is_registered(tag_garments):
+        bpy.app.timers.register(tag_garments, first_interval=0.0)
 
 
 @persistent
@@ -168,6 +195,9 @@ def _modifiers() -> Iterator[tuple[bpy.types.Object, bpy.types.NodesModifier]]:
 HANDLERS: dict[str, Callable[..., None]] = {
     "frame_change_post": play_frame,
     "depsgraph_update_post": play_changes,
+    "render_init": begin_render,
+    "render_complete": end_render,
+    "render_cancel": end_render,
     "animation_playback_pre": begin_animation,
     "animation_playback_post": end_animation,
     "load_post": forget_file,

@@ -29,7 +29,7 @@ from ..threads import Ahead
 from .armature import PoseReader, rig_scale
 from .clearance import BodyClearance, Worn
 from .coarse_layer import CoarseBinding
-from .culling import is_culled, is_shown
+from .culling import FULL_DETAIL, is_culled, is_shown
 from .first_start import first_start
 from .inner_clearance import InnerClearance, InnerGarment, garments_under
 from .made_behind import NotReady, begin, take
@@ -245,7 +245,7 @@ class Player:
         placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
         strengths = evaluated.wrinkles.strengths()
         frame = depsgraph.scene.frame_current_final
-        full = depsgraph.mode == "RENDER" or garment.wrinkles.viewport_detail == "FULL"
+        full = garment.wrinkles.detail(depsgraph) == FULL_DETAIL
         wanted = full and garment.wrinkles.clear_of_body
         body = self._clearance.read(garment, depsgraph, pose, placement, wanted=wanted)
         coarse = None if layer is None else (layer.positions.tobytes(), layer.follow)

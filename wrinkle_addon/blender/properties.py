@@ -18,6 +18,7 @@ from ..wearer import BakeSettings
 from . import playback
 from .coarse_layer import MESH, NONE, choose_coarse, tie_coarse
 from .coarse_scene import SIMULATION
+from .culling import FULL_DETAIL
 from .flow_properties import FlowSettings
 from .node_group import PRESENT, add_modifier, set_mask
 from .sample_properties import GhostSettings
@@ -146,6 +147,12 @@ class JointSettings(bpy.types.PropertyGroup):
     def joint(self) -> Joint:
         """The joint, with its range as it stands now."""
         return defined_joint(self.name, self.definition, tuple(self.low), tuple(self.high))
+
+
+_DETAILS = [
+    (FULL_DETAIL, "Full", "Wrinkles, kept clear of the body"),
+    ("QUICK", "Without Push-Out", "Wrinkles, which may go into the body"),
+]
 
 
 class GarmentSettings(bpy.types.PropertyGroup):
@@ -334,12 +341,18 @@ class GarmentSettings(bpy.types.PropertyGroup):
     )
     viewport_detail: bpy.props.EnumProperty(
         name="In Viewport",
-        items=[
-            ("FULL", "As Rendered", "All that the render shows"),
-            ("QUICK", "Without Push-Out", "Wrinkles may go into the body; a render is kept clear of it all the same"),
-        ],
-        default="FULL",
+        items=_DETAILS,
+        default=FULL_DETAIL,
         description="What is left out in the viewport to play faster",
+        options=set(),
+        override=_OVERRIDABLE,
+        update=_played_anew,
+    )
+    render_detail: bpy.props.EnumProperty(
+        name="In Renders",
+        items=_DETAILS,
+        default=FULL_DETAIL,
+        description="What is left out in renders, of a character that is far away; written files have it all",
         options=set(),
         override=_OVERRIDABLE,
         update=_played_anew,
@@ -446,6 +459,10 @@ class GarmentSettings(bpy.types.PropertyGroup):
             density=_decimal(self.density),
             friction=_decimal(self.friction),
         )
+
+    def detail(self, depsgraph: bpy.types.Depsgraph) -> str:
+        """What is shown of it in the viewport or in a render."""
+        return self.render_detail if depsgraph.mode == "RENDER" else self.viewport_detail
 
     def strengths(self) -> dict[str, float]:
         """Strength of every joint, the garment's own included."""

@@ -39,6 +39,7 @@ class WRINKLE_PT_play(GarmentPanel, bpy.types.Panel):
         draw_settings(clearance, settings, "clearance")
         column.prop(settings, "worn_over")
         column.prop(settings, "viewport_detail")
+        column.prop(settings, "render_detail")
         if settings.enabled:
             _draw_status(context, layout, garment)
         elif not settings.database:
