@@ -32,8 +32,10 @@ if TYPE_CHECKING:
     from scipy import sparse
 
 STANDARD_GRAVITY = 9.80665
+
 # A vertex that ends a step deeper in the body than this [m] is put on its skin.
 EXPELLED_DEPTH = 0.001
+
 # On its way to equilibrium a garment soon changes little: after so many linearisations ...
 YOUNG_ITERATIONS = 8
 # ... the coarse levels of a preconditioner serve for so many.
@@ -176,7 +178,8 @@ class ClothSimulation:
     def step(self, body_positions: ArrayLike, dt: float, *, guess: ArrayLike | None = None) -> None:
         """Advance by ``dt`` [s] while the body moves to ``body_positions`` [m].
 
-        The first step from rest, or from :meth:`start`, is one of backward Euler. Layers passed through come apart.
+        The first step from rest, or from :meth:`start`, is one of backward Euler. Layers that have passed through each
+        other are drawn apart at its end.
 
         Args:
             guess: Where to begin the search for the new positions [m], such as the garment carried along by the

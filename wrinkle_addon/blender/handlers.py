@@ -103,12 +103,10 @@ def begin_render(scene: bpy.types.Scene | None = None, depsgraph: bpy.types.Deps
 
 @persistent
 def end_render(scene: bpy.types.Scene | None = None, depsgraph: bpy.types.Depsgraph | None = None) -> None:
-    """The viewport shows its own detail again."""
-    _render.goes_on = False
-    if bpy.app.background:
+    """The viewport shows its own detail again; a window's does at its next change, as its renders have a thread."""
+    if _render.goes_on:
+        _render.goes_on = False
         tag_garments()
-    elif not bpy.app.timers.is_registered(tag_garments):
-        bpy.app.timers.register(tag_garments, first_interval=0.0)
 
 
 @persistent
