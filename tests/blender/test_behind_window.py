@@ -185,7 +185,12 @@ import json, sys, time
 print(json.dumps({"event": "step", "share": 0.25, "text": "frame 1"}), file=sys.stderr, flush=True)
 time.sleep(600)
 """
-STUBBORN = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('{}'); time.sleep(600)"
+STUBBORN = """
+import signal, time
+signal.signal(signal.SIGTERM, signal.SIG_IGN)
+print("{}", flush=True)
+time.sleep(600)
+"""
 FAILING = """
 import json, sys
 print(json.dumps({"event": "error", "message": "The frames are gone."}), file=sys.stderr)
