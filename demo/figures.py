@@ -231,12 +231,16 @@ def draw_figures(folder: Path, out: Path, frame: int | None = None) -> dict[str,
     return report
 
 
-def main() -> None:
+def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description="Figures 2 and 9 of Wang et al. (2010).")
     parser.add_argument("folder", type=Path, help="folder of a demo")
     parser.add_argument("--out", type=Path, default=Path("figures"), help="folder for the figures")
     parser.add_argument("--frame", type=int, help="of figure 2; left out, the one that is wrinkled most")
-    options = parser.parse_args()
+    return parser
+
+
+def main() -> None:
+    options = build_parser().parse_args()
     report = draw_figures(options.folder, options.out, options.frame)
     for stage, found in report["stages"].items():
         measures = ", ".join(f"{measure} {value:.2f}" for measure, value in found.items())

@@ -253,11 +253,15 @@ def draw_sheet(folders: Mapping[str, Path], reports: Mapping[str, Mapping[str, A
     compose(rows, list(columns.values()), corners, path)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def build_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description="The five sequences of Wang et al. (2010).")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(SEQUENCES)}; left out, all five")
     parser.add_argument("--out", type=Path, default=Path("sequences"), help="folder for the results")
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    options = build_parser().parse_args(arguments)
     reports = {}
     for name in options.names or SEQUENCES:
         try:

@@ -14,6 +14,9 @@ PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CODE = re.compile(r"`([^`]+)`")
 DOOR = "--command wrinkle "
+PROGRAMS = ("wrinkle", "make", "python", "pip", "blender", "git", "sh", "bash")
+PLACEHOLDERS = ("FILE", "VERB", "\N{HORIZONTAL ELLIPSIS}")
+"""Stand in a command for what a reader puts there."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,18 @@ def commands() -> Iterator[Command]:
                     words = shlex.split(line, comments=True)
                     place = words.index("--command")
                     yield Command(page.name, line, (words[place + 2], words[2], *words[place + 3 :]))
+
+
+def typed_lines() -> Iterator[tuple[str, str]]:
+    """Page and line of all that a reader may type: every line of a fenced block without a language, and whatever in the
+    text begins with a program's name, unless words are left out of it."""
+    for page in PAGES:
+        for kind, block in fences(page):
+            yield from ((page.name, line) for line in block.splitlines() if line and not kind)
+        for line in CODE.findall(FENCE.sub("", page.read_text(encoding="utf-8"))):
+            words = line.split()
+            if words[0] in PROGRAMS and len(words) > 1 and not set(words) & set(PLACEHOLDERS):
+                yield page.name, line
 
 
 def snippets() -> Iterator[tuple[str, str]]:

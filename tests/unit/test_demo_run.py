@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from skeletons import human
 from wrinkle_synthesis.demo import packages
+from wrinkle_synthesis.demo.figures import draw_figures
 from wrinkle_synthesis.demo.picture import compose
 from wrinkle_synthesis.demo.progress import Progress, duration, time_left
 from wrinkle_synthesis.demo.recipe import FULL, QUICK
@@ -261,3 +262,7 @@ def test_the_quick_demo_makes_all_that_it_promises(tmp_path: Path) -> None:
     again = run_demo(tmp_path, QUICK)
     assert again["settle"] == made["settle"]
     assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.pc2")} == before
+    figures = draw_figures(tmp_path, tmp_path / "figures")
+    assert figures["garment"] == QUICK.garment and figures["pictured_frame"] in range(*QUICK.simulated)
+    for name in ("figure_2.jpg", "figure_9.png", "figures.json"):
+        assert (tmp_path / "figures" / name).stat().st_size > 0, name
