@@ -59,7 +59,8 @@ def operator_of(
     group, name = cls.bl_idname.split(".")
     described = getattr(getattr(bpy.ops, group), name).get_rna_type().properties
     defaults = {each.identifier: each.default for each in described if hasattr(each, "default")}
-    made = SimpleNamespace(**{**defaults, **chosen}, stopping=getattr(cls, "stopping", ""))
+    said = {name: getattr(cls, name, "") for name in ("doing", "stopping")}
+    made = SimpleNamespace(**{**defaults, **chosen, **said})
     for attribute, value in vars(cls).items():
         if attribute.startswith("_") and value is None:
             setattr(made, attribute, None)

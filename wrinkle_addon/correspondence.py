@@ -110,9 +110,9 @@ def find_correspondence(
     edges, coarse_edges = mesh_edges(faces)[0], mesh_edges(coarse_faces)[0]
     _check_pieces(name, _piece_count(faces, edges), _piece_count(coarse_faces, coarse_edges))
     length = float(_lengths(coarse_positions, coarse_edges).mean())
-    normals = vertex_normals(positions, faces)
+    normals, neighbours = vertex_normals(positions, faces), vertex_neighbours(faces, len(positions))
     for _ in range(NORMAL_ROUNDS):
-        normals = normals + neighbour_mean(normals, faces)
+        normals = normals + neighbour_mean(normals, neighbours)
     surface = FacingSurface(coarse_positions, coarse_faces)
     face, weights = surface.closest(positions, normals, reach=length)
     _check_fit(name, positions, normals, coarse_positions[coarse_faces[face]], weights)

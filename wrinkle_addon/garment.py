@@ -366,16 +366,21 @@ def skin_garment(positions: FloatArray, faces: IntArray, body: Body, *, smoothin
             Place.of_vertices(Part.GARMENT, total[:, 0] < 1e-3),
         )
     dense = dense / total
+    neighbours = vertex_neighbours(faces, len(positions))
+    # Most bones carry nothing of a garment, and zeros stay zeros.
+    carrying = dense.any(0)
+    shares = dense[:, carrying]
     for _ in range(smoothing):
-        dense = 0.5 * dense + 0.5 * neighbour_mean(dense, faces)
+        shares = 0.5 * shares + 0.5 * neighbour_mean(shares, neighbours)
+    dense[:, carrying] = shares
     dense[dense < 0.01] = 0.0
     return SkinWeights.from_dense(dense)
 
 
-def neighbour_mean(values: FloatArray, faces: IntArray) -> FloatArray:
-    """Mean over each vertex's neighbours along edges, shape [vertex_count, ...]."""
-    start, neighbours = vertex_neighbours(faces, len(values))
-    sums = np.add.reduceat(values[neighbours], start[:-1], axis=0)
+def neighbour_mean(values: FloatArray, neighbours: tuple[IntArray, IntArray]) -> FloatArray:
+    """Mean over each vertex's neighbours, as :func:`vertex_neighbours` tells them, shape [vertex_count, ...]."""
+    start, others = neighbours
+    sums = np.add.reduceat(values[others], start[:-1], axis=0)
     return sums / np.diff(start).reshape(-1, *[1] * (values.ndim - 1))
 
 

@@ -6,15 +6,18 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 from modal_operators import ESCAPE, MOUSE, TIMER, Window, operator_of, tick_until_done
 from small_character import TOLERANCE, Arm, Bumps, build_arm, empty_scene, evaluated_positions
-from wrinkle_synthesis.operators import make_coarse_mesh
+from wrinkle_synthesis.operators import check_garment, make_coarse_mesh
+from wrinkle_synthesis.operators.check_garment import WRINKLE_OT_check_garment
 from wrinkle_synthesis.operators.make_coarse_mesh import WRINKLE_OT_make_coarse_mesh
 from wrinkle_synthesis.wrinkle_addon.blender import made_behind, playback
+from wrinkle_synthesis.wrinkle_addon.blender.inspection import findings_of
 from wrinkle_synthesis.wrinkle_addon.blender.node_group import find_modifier
 from wrinkle_synthesis.wrinkle_addon.rig import Pose
 
@@ -135,6 +138,47 @@ def test_what_was_begun_for_another_file_is_dropped(arm: Arm, held: threading.Ev
     made_behind.look()
     bpy.context.view_layer.update()
     assert playback.status(arm.sleeve).player is None and is_skinned(arm)
+
+
+# --- the check ----------------------------------------------------------------------------------------------------
+
+
+def check_behind(arm: Arm, window: Window, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    bpy.context.view_layer.objects.active = arm.sleeve
+    operator = operator_of(WRINKLE_OT_check_garment, check_garment, window, monkeypatch)
+    assert operator.invoke(window, None) == {"RUNNING_MODAL"}
+    return operator
+
+
+@pytest.mark.parametrize("problem", ["", "gone bone", "edit mode"])
+def test_a_garment_is_checked_behind_the_window_as_at_once(
+    arm: Arm, held: threading.Event, monkeypatch: pytest.MonkeyPatch, problem: str
+) -> None:
+    if problem == "gone bone":
+        joint = arm.sleeve.wrinkles.joints[0]
+        joint.definition = joint.definition.replace(arm.rig.names[-1], "none")
+    bpy.context.view_layer.objects.active = arm.sleeve
+    if problem == "edit mode":
+        bpy.ops.object.mode_set(mode="EDIT")
+    window = Window()
+    operator = check_behind(arm, window, monkeypatch)
+    assert operator.modal(window, TIMER) == {"PASS_THROUGH"} and findings_of(arm.sleeve) is None
+    held.set()
+    assert tick_until_done(operator, window) == {"FINISHED"} and window.timers == 0
+    behind = findings_of(arm.sleeve)
+    assert behind is not None and any(finding.stops for finding in behind) == bool(problem)
+    assert bpy.ops.wrinkle.check_garment() == {"FINISHED"}
+    assert findings_of(arm.sleeve) == behind
+
+
+def test_a_garment_that_changes_while_it_is_checked_is_to_be_checked_again(
+    arm: Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window = Window()
+    operator = check_behind(arm, window, monkeypatch)
+    arm.sleeve.wrinkles.body = None
+    assert tick_until_done(operator, window) == {"CANCELLED"}
+    assert "changed while it was checked" in window.told[-1] and findings_of(arm.sleeve) is None
 
 
 # --- the coarse mesh ----------------------------------------------------------------------------------------------

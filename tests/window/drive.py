@@ -98,6 +98,7 @@ def set_up(hand: Hand) -> Steps:
     yield from hand.click("wrinkle.take_ranges")
     assert 0.0 < elbow().high[0] - elbow().low[0] < 0.8 * extent
     yield from hand.click("wrinkle.check_garment")
+    yield from wait_for(lambda: inspection.findings_of(garment()) is not None, "the garment is checked")
     assert not any(finding.stops for finding in inspection.findings_of(garment()))
     yield from hand.shoot("checked")
     yield from hand.shoot("sidebar_checked", sidebar=True)

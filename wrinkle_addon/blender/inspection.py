@@ -13,14 +13,14 @@ import numpy as np
 
 from ..bake import BakeJob
 from ..database import MANIFEST, WrinkleDatabase
-from ..garment import bind_to_surface, check_body, check_fit, split_vertices, surface_problems
+from ..garment import check_body, split_vertices, surface_problems
 from ..place import Part, Place, PlacedError
 from ..symmetry import require_mirror
-from .character import SamplingStage, check_objects, read_garment, read_mesh, rig_from_world, sampling_stage
-from .coarse_layer import NONE, doubt_of, match_coarse
+from .character import SamplingStage, check_objects, read_mesh, sampling_stage
+from .coarse_layer import NONE, RestShapes, doubt_of
 from .files import database_folder
 from .matching import check_database
-from .setup import remember_symmetry, stage_job, stored_joint
+from .setup import JobOrder, Symmetry, read_worn, stored_joint
 from .shape_marks import Marks, same_shapes, shape_marks
 
 
@@ -41,11 +41,6 @@ class Finding:
 
 _found: dict[int, tuple[tuple[object, ...], Marks, list[Finding]]] = {}
 """What was found last, and what it was made from, by the session_uid of the garment."""
-
-
-def remember_findings(garment: bpy.types.Object, findings: list[Finding]) -> None:
-    """Keep what was found for the panel, as long as it holds."""
-    _found[garment.session_uid] = _source_of(garment), shape_marks(garment), findings
 
 
 def findings_of(garment: bpy.types.Object) -> list[Finding] | None:
@@ -78,42 +73,122 @@ def _baked_at(garment: bpy.types.Object) -> int | None:
         return None
 
 
-def inspect_garment(garment: bpy.types.Object, folder: Path | None = None) -> list[Finding]:
-    """Go through the motions of a bake and of playing without simulating.
+# --- the check ----------------------------------------------------------------------------------------------------
 
-    What the garment remembers of its character's symmetry is renewed, where it is another by now.
+
+def inspect_garment(garment: bpy.types.Object, folder: Path | None = None) -> list[Finding]:
+    """Go through the motions of a bake and of playing without simulating, at once.
 
     Args:
         garment: A garment that was set up.
         folder: Its database; left out, the one that it remembers.
     """
-    settings = garment.wrinkles
-    findings: list[Finding] = []
-    with _noting(findings):
-        check_objects(garment, settings.body, settings.armature)
-    if findings:
-        return findings
-    if garment.data.is_editmode:
-        return [Finding("Leave edit mode first: what is edited cannot be checked.", Place(Part.GARMENT))]
-    positions, faces = read_mesh(garment.data)
-    findings += [Finding(str(error), error.place) for error in surface_problems(garment.name, positions, faces)]
-    with _noting(findings), sampling_stage(settings.armature, settings.body) as stage:
-        findings += _stage_findings(garment, stage)
-        if not any(finding.stops for finding in findings):
-            job = stage_job(garment, stage)
-            _check_extremes(stage, job)
-            remember_symmetry(garment, job.rig, job.garment, job.body)
-            samples = len(job.plan.samples) + 1
-            findings += _notes(f"{samples} samples of {job.garment.vertex_count} vertices would be baked.")
-            if settings.use_symmetry:
-                findings += _asymmetries(job)
-            findings += _notes(_database_note(folder or database_folder(garment), garment, job))
-    if len(split := split_vertices(positions, faces)):
-        text = f"{len(split)} vertices of '{garment.name}' lie where others do and will come apart; merge by distance."
-        findings.append(Finding(text, Place.of_vertices(Part.GARMENT, split), stops=False))
-    if settings.coarse_layer != NONE:
+    return conclude_check(garment, CheckOrder.of(garment, folder).make())
+
+
+@dataclass(frozen=True, eq=False)
+class CheckOrder:
+    """A garment, its character and its settings, to be checked; without Blender's data.
+
+    Attributes:
+        findings: What reading them has told already.
+        source, marks: What they were read from.
+        job: What would be baked; None if that cannot be, which the findings tell.
+        folder: The garment's database; None if it has no place yet.
+        shapes: The garment and its coarse mesh, if it has one.
+    """
+
+    findings: tuple[Finding, ...]
+    source: tuple[object, ...]
+    marks: Marks
+    job: JobOrder | None = None
+    folder: Path | None = None
+    shapes: RestShapes | None = None
+
+    @staticmethod
+    def of(garment: bpy.types.Object, folder: Path | None = None) -> CheckOrder:
+        """See :func:`inspect_garment`."""
+        settings, findings = garment.wrinkles, list[Finding]()
+        source, marks = _source_of(garment), shape_marks(garment)
         with _noting(findings):
-            findings += _notes(doubt_of(settings.coarse.name, match_coarse(garment)))
+            check_objects(garment, settings.body, settings.armature)
+            if garment.data.is_editmode:
+                raise PlacedError("Leave edit mode first: what is edited cannot be checked.", Place(Part.GARMENT))
+        if findings:
+            return CheckOrder(tuple(findings), source, marks)
+        findings += _surface_findings(garment)
+        job = shapes = None
+        with _noting(findings), sampling_stage(settings.armature, settings.body) as stage:
+            job = _read_job(garment, stage, findings)
+        with _noting(findings):
+            folder = folder or database_folder(garment)
+        if settings.coarse_layer != NONE:
+            with _noting(findings):
+                shapes = RestShapes.read(garment)
+        return CheckOrder(tuple(findings), source, marks, job, folder, shapes)
+
+    def make(self) -> Checked:
+        """Think it through, which takes a moment."""
+        findings = list(self.findings)
+        job = symmetry = database = None
+        if self.job is not None:
+            with _noting(findings):
+                job = self.job.make()
+                joints = [joint for joint, _ in self.job.joints]
+                symmetry = Symmetry.find(job.rig, joints, job.garment, job.body, self.marks)
+                findings += _job_notes(job, self.job.symmetric)
+                database = None if self.folder is None else _look_at(self.folder, job)
+        if self.shapes is not None:
+            with _noting(findings):
+                findings += _notes(doubt_of(self.shapes.name, self.shapes.match()))
+        return Checked(self, findings, job, symmetry, database)
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """What was found without Blender.
+
+    Attributes:
+        findings: So far.
+        job: What would be baked, if anything can be.
+        symmetry: The character's; None if there is no job.
+        database: What was baked for it, and what there is to say of that.
+    """
+
+    order: CheckOrder
+    findings: list[Finding]
+    job: BakeJob | None
+    symmetry: Symmetry | None
+    database: tuple[WrinkleDatabase | None, str] | None
+
+
+def conclude_check(garment: bpy.types.Object, checked: Checked) -> list[Finding]:
+    """Look at what only Blender can tell, and keep all that was found for the panel.
+
+    What the garment remembers of its character's symmetry is renewed, where it is another by now.
+
+    Raises:
+        ValueError: If garment or settings are no longer what was checked; one sentence.
+    """
+    settings, findings = garment.wrinkles, list(checked.findings)
+    if _source_of(garment) != checked.order.source:
+        raise ValueError(f"The garment '{garment.name}' changed while it was checked; check it again.")
+    if checked.job is not None:
+        with _noting(findings), sampling_stage(settings.armature, settings.body) as stage:
+            _check_extremes(stage, checked.job)
+    if checked.symmetry is not None:
+        checked.symmetry.remember(garment)
+    if checked.database is not None:
+        database, note = checked.database
+        try:
+            if database is not None:
+                check_database(garment, database.header)
+        except ValueError as error:
+            note = str(error)
+        findings += _notes(note)
+    # Problems first.
+    findings.sort(key=lambda finding: not finding.stops)
+    _found[garment.session_uid] = checked.order.source, checked.order.marks, findings
     return findings
 
 
@@ -130,20 +205,25 @@ def _notes(text: str) -> Sequence[Finding]:
     return [Finding(text, stops=False)] if text else []
 
 
-def _stage_findings(garment: bpy.types.Object, stage: SamplingStage) -> list[Finding]:
-    """What is wrong with the joints, the body, the garment's weights, and the way it is worn."""
-    findings: list[Finding] = []
-    settings = garment.wrinkles
-    for stored in settings.joints:
+def _surface_findings(garment: bpy.types.Object) -> list[Finding]:
+    """What is wrong with the mesh."""
+    positions, faces = read_mesh(garment.data)
+    findings = [Finding(str(error), error.place) for error in surface_problems(garment.name, positions, faces)]
+    if len(split := split_vertices(positions, faces)):
+        text = f"{len(split)} vertices of '{garment.name}' lie where others do and will come apart; merge by distance."
+        findings.append(Finding(text, Place.of_vertices(Part.GARMENT, split), stops=False))
+    return findings
+
+
+def _read_job(garment: bpy.types.Object, stage: SamplingStage, findings: list[Finding]) -> JobOrder | None:
+    """What would be baked, or what is wrong with the joints, the body and the garment's weights."""
+    for stored in garment.wrinkles.joints:
         with _noting(findings):
             stored_joint(stored, stage.rig)
     with _noting(findings):
         check_body(stage.body)
-    with _noting(findings):
-        worn = read_garment(garment, stage.rig, rig_from_world(settings.armature), settings.pin_group)
-        distance = bind_to_surface(worn.positions, stage.body.positions, stage.body.faces).distance
-        check_fit(garment.name, worn.positions, stage.body, distance)
-    return findings
+    worn = read_worn(garment, stage)
+    return None if any(finding.stops for finding in findings) else JobOrder.of(garment, stage, worn)
 
 
 def _check_extremes(stage: SamplingStage, job: BakeJob) -> None:
@@ -162,27 +242,31 @@ def _check_extremes(stage: SamplingStage, job: BakeJob) -> None:
                 )
 
 
-def _asymmetries(job: BakeJob) -> list[Finding]:
-    """Why both sides are simulated, if they are."""
-    try:
-        require_mirror(job.rig, [grid.joint for grid in job.plan.grids], job.garment, job.body)
-    except PlacedError as error:
-        return [Finding(f"Both sides are simulated. {error}", error.place, stops=False)]
-    return []
+def _job_notes(job: BakeJob, symmetric: bool) -> list[Finding]:
+    """How much would be baked, and why both sides are simulated, if one could serve for both."""
+    notes = [*_notes(f"{len(job.plan.samples) + 1} samples of {job.garment.vertex_count} vertices would be baked.")]
+    if symmetric and job.plan.mirror is None:
+        try:
+            require_mirror(job.rig, [grid.joint for grid in job.plan.grids], job.garment, job.body)
+        except PlacedError as error:
+            notes.append(Finding(f"Both sides are simulated. {error}", error.place, stops=False))
+    return notes
 
 
-def _database_note(folder: Path, garment: bpy.types.Object, job: BakeJob) -> str:
-    """What there is to say of the garment's database, which a bake would mend."""
+def _look_at(folder: Path, job: BakeJob) -> tuple[WrinkleDatabase | None, str]:
+    """The garment's database, and what there is to say of it, which a bake would mend."""
     if not (folder / MANIFEST).exists():
-        return f"The database '{folder}' is not baked yet."
+        return None, f"The database '{folder}' is not baked yet."
     try:
         database = WrinkleDatabase.open(folder, check_hashes=True)
-        check_database(garment, database.header)
     except ValueError as error:
-        return str(error)
+        return None, str(error)
     if database.header.key != job.key:
-        return f"The database '{folder}' was baked with other settings, weights or body; it plays as it was baked."
-    return f"The database '{folder}' is complete and up to date."
+        return (
+            database,
+            f"The database '{folder}' was baked with other settings, weights or body; it plays as it was baked.",
+        )
+    return database, f"The database '{folder}' is complete and up to date."
 
 
 # --- taking the artist there --------------------------------------------------------------------------------------

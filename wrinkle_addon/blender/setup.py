@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,10 +27,11 @@ from ..place import Part, Place, PlacedError
 from ..plan import SamplePlan, budget_plan, paper_plan
 from ..rig import Joint, Rig
 from ..symmetry import find_mirror, require_mirror, symmetric_limits
+from ..wearer import BakeSettings
 from .character import SamplingStage, apply, check_objects, read_garment, read_mesh, rig_from_world, sampling_stage
 from .plan_preview import signs_text
 from .removal import remember_garment
-from .shape_marks import shape_marks
+from .shape_marks import Marks, shape_marks
 
 LEAST_VERTICES = 10_000
 MOST_SUBDIVISIONS = 4
@@ -123,7 +125,7 @@ def setup_garment(
     for joint in used:
         settings.joints.add().store(joint)
     worn_garment = Garment(fine.name, worn, faces, weights, np.zeros(len(worn), np.float32))
-    remember_symmetry(fine, rig, worn_garment, body_mesh)
+    Symmetry.find(rig, used, worn_garment, body_mesh, shape_marks(fine)).remember(fine)
     if not settings.database:
         settings.database = f"//{bpy.path.clean_name(garment.name)}.wrinkles"
     split = len(split_vertices(positions, faces))
@@ -131,18 +133,33 @@ def setup_garment(
     return SetupResult(fine, search, tuple(joint.name for joint in used), (*search.notes, *([sewn] if split else [])))
 
 
-def remember_symmetry(garment: bpy.types.Object, rig: Rig, worn: Garment, body: Body) -> None:
-    """Store how the angles of a garment's joints mirror, or why they do not, and what that was found on."""
-    settings = garment.wrinkles
-    try:
-        mirror = require_mirror(rig, [stored_joint(stored, rig) for stored in settings.joints], worn, body)
-        found = signs_text(mirror), ""
-    except PlacedError as error:
-        found = "", str(error)
-    marks = json.dumps(shape_marks(garment))
-    # What is as it was is not written, so that looking changes nothing.
-    if (settings.mirror_signs, settings.asymmetry, settings.symmetry_marks) != (*found, marks):
-        settings.mirror_signs, settings.asymmetry, settings.symmetry_marks = *found, marks
+@dataclass(frozen=True)
+class Symmetry:
+    """What a garment remembers of its character's symmetry.
+
+    Attributes:
+        signs: How the angles of its joints mirror; empty if they do not.
+        asymmetry: Why not; empty if they do.
+        marks: The shapes that it was found on.
+    """
+
+    signs: str
+    asymmetry: str
+    marks: Marks
+
+    @staticmethod
+    def find(rig: Rig, joints: Sequence[Joint], worn: Garment, body: Body, marks: Marks) -> Symmetry:
+        try:
+            return Symmetry(signs_text(require_mirror(rig, joints, worn, body)), "", marks)
+        except PlacedError as error:
+            return Symmetry("", str(error), marks)
+
+    def remember(self, garment: bpy.types.Object) -> None:
+        settings, marks = garment.wrinkles, json.dumps(self.marks)
+        # What is as it was is not written, so that looking changes nothing.
+        found = self.signs, self.asymmetry, marks
+        if (settings.mirror_signs, settings.asymmetry, settings.symmetry_marks) != found:
+            settings.mirror_signs, settings.asymmetry, settings.symmetry_marks = found
 
 
 def rest_mesh(garment: bpy.types.Object, subdivide: int | None) -> bpy.types.Mesh:
@@ -250,26 +267,83 @@ def moves(joint: Joint, rig: Rig, weights: SkinWeights, least: float = 0.02) -> 
 # --- from settings to a job ---------------------------------------------------------------------------------------
 
 
-def stage_job(garment: bpy.types.Object, stage: SamplingStage) -> BakeJob:
-    """The bake that a garment's settings ask for.
+@dataclass(frozen=True, eq=False)
+class JobOrder:
+    """What a garment's settings ask for, and the character that they ask it for; without Blender's data.
 
-    Args:
-        stage: A stage of the garment's armature and body.
+    Attributes:
+        joints: Those of the garment, and whether each is to be sampled.
+        budget: Most samples to simulate; None for the paper's plan, with the steps that the artist set [rad].
+        symmetric: Whether one side's samples are to serve for the other, where they can.
+    """
+
+    rig: Rig
+    garment: Garment
+    body: Body
+    joints: tuple[tuple[Joint, bool], ...]
+    budget: int | None
+    steps: Mapping[str, float]
+    symmetric: bool
+    settings: BakeSettings
+
+    @staticmethod
+    def of(garment: bpy.types.Object, stage: SamplingStage, worn: Garment) -> JobOrder:
+        """
+        Args:
+            stage: A stage of the garment's armature and body.
+            worn: The garment as :func:`read_worn` reads it.
+
+        Raises:
+            ValueError: One sentence, if something in the scene does not fit any more.
+        """
+        settings = garment.wrinkles
+        return JobOrder(
+            stage.rig,
+            worn,
+            stage.body,
+            tuple((stored_joint(each, stage.rig), each.enabled) for each in settings.joints),
+            settings.budget if settings.plan == "BUDGET" else None,
+            {joint.name: float(joint.step) for joint in settings.joints if joint.step > 0.0},
+            settings.use_symmetry,
+            settings.bake_settings(),
+        )
+
+    def make(self) -> BakeJob:
+        """The bake.
+
+        Raises:
+            ValueError: One sentence, if the garment cannot be simulated so.
+        """
+        joints = [joint for joint, enabled in self.joints if enabled]
+        if not joints:
+            raise ValueError(
+                f"No joint of the garment '{self.garment.name}' is chosen for sampling; add or choose one."
+            )
+        return BakeJob(self.rig, self.garment, self.body, self._plan(joints), self.settings)
+
+    def _plan(self, joints: list[Joint]) -> SamplePlan:
+        mirror = find_mirror(self.rig, joints, self.garment, self.body) if self.symmetric else None
+        if mirror is not None:
+            joints = symmetric_limits(joints, mirror)
+        if self.budget is not None:
+            return budget_plan(joints, self.budget, mirror)
+        return paper_plan(joints, mirror, self.steps)
+
+
+def stage_job(garment: bpy.types.Object, stage: SamplingStage) -> BakeJob:
+    """The bake that a garment's settings ask for; see :class:`JobOrder`."""
+    return JobOrder.of(garment, stage, read_worn(garment, stage)).make()
+
+
+def read_worn(garment: bpy.types.Object, stage: SamplingStage) -> Garment:
+    """The garment as its settings have it: pins, and the fabric's direction if that counts.
 
     Raises:
-        ValueError: One sentence, if something in the scene does not fit any more.
+        ValueError: As of :func:`read_garment`.
     """
     settings = garment.wrinkles
-    rig = stage.rig
-    baked = settings.bake_settings()
-    to_rig = rig_from_world(settings.armature)
-    read = read_garment(garment, rig, to_rig, settings.pin_group, directed=baked.fabric.directed)
-    stored = [(stored_joint(each, rig), each.enabled) for each in settings.joints]
-    joints = [joint for joint, enabled in stored if enabled]
-    if not joints:
-        raise ValueError(f"No joint of the garment '{garment.name}' is chosen for sampling; add or choose one.")
-    plan = make_plan(settings, rig, joints, read, stage.body)
-    return BakeJob(rig, read, stage.body, plan, baked)
+    directed = settings.bake_settings().fabric.directed
+    return read_garment(garment, stage.rig, rig_from_world(settings.armature), settings.pin_group, directed=directed)
 
 
 def stored_joint(stored: Any, rig: Rig) -> Joint:
@@ -286,18 +360,3 @@ def stored_joint(stored: Any, rig: Rig) -> Joint:
             Place(Part.JOINT, names=(joint.name,)),
         )
     return joint
-
-
-def make_plan(settings: Any, rig: Rig, joints: list[Joint], garment, body: Body) -> SamplePlan:
-    """The plan that settings ask for."""
-    mirror = find_mirror(rig, joints, garment, body) if settings.use_symmetry else None
-    if mirror is not None:
-        joints = symmetric_limits(joints, mirror)
-    if settings.plan == "BUDGET":
-        return budget_plan(joints, settings.budget, mirror)
-    return paper_plan(joints, mirror, steps_of(settings))
-
-
-def steps_of(settings: Any) -> dict[str, float]:
-    """Steps that the artist set, by joint [rad]."""
-    return {joint.name: float(joint.step) for joint in settings.joints if joint.step > 0.0}

@@ -100,5 +100,5 @@ def draw_process(layout: bpy.types.UILayout, process: FileProcess) -> None:
             icon="PLAY" if process.paused else "PAUSE",
         )
     row.operator("wrinkle.stop_process", icon="CANCEL")
-    if progress.last:
-        layout.label(text=progress.last, icon="CHECKMARK", translate=False)
+    # Its row is there from the start, so that nothing below it is moved.
+    layout.label(text=progress.last, icon="CHECKMARK" if progress.last else "NONE", translate=False)
