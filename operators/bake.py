@@ -41,10 +41,14 @@ class WRINKLE_OT_bake(BehindWindow, bpy.types.Operator):
         garment = active_garment(context)
         assert garment is not None
         try:
-            return self.start(context, garment, BakeProcess(garment))
+            process = BakeProcess(garment)
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        # What is said of a database that is not finished is another sentence now.
+        playback.doubt(garment)
+        garment.update_tag()
+        return self.start(context, garment, process)
 
     def done(self, context: bpy.types.Context, garment: bpy.types.Object, process: FileProcess) -> set[str]:
         playback.forget(garment)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from . import rotations, storage
 from .corrections import BAKED, Corrections
-from .folder_lock import FolderLock
+from .folder_lock import FolderLock, is_locked
 from .garment import Garment, Regions, SkinWeights
 from .plan import JointGrid, Sample, SamplePlan
 from .rig import FloatArray, IntArray, Joint, Pose, Rig, pose_of_angles
@@ -406,6 +406,8 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     if not folder.is_dir():
         raise StorageError(f"There is no database '{folder}'; bake it first.")
     if not (folder / MANIFEST).exists():
+        if is_locked(folder):
+            raise StorageError(f"The database '{folder}' is just being baked; wait until that is done.")
         raise StorageError(f"The database '{folder}' is not finished; run the bake again, it goes on where it stopped.")
     manifest = storage.read_json(folder / MANIFEST)
     if not isinstance(manifest, dict) or not isinstance(manifest.get("files"), dict):

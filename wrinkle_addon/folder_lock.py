@@ -78,6 +78,18 @@ class FolderLock:
             return "unknown"
 
 
+def is_locked(folder: Path) -> bool:
+    """Whether a process holds the folder's lock just now."""
+    try:
+        with open(folder / LOCK, "r+", encoding="utf-8") as stream:
+            _lock(stream)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True
+    return False
+
+
 if sys.platform == "win32":
     import msvcrt
 

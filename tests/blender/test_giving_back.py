@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -224,8 +225,13 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
-def test_a_blender_that_is_killed_takes_its_bake_along_and_the_next_one_goes_on(bumps: Bumps, tmp_path: Path) -> None:
-    folder = tmp_path / "s.wrinkles"
+def test_a_blender_that_is_killed_takes_its_bake_along_and_the_next_one_goes_on(
+    bumps: Bumps, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, copies = tmp_path / "s.wrinkles", tmp_path / "copies"
+    copies.mkdir()
+    monkeypatch.setenv("TMPDIR", str(copies))
+    monkeypatch.setattr(tempfile, "tempdir", str(copies))
     code = CLOSED.format(tests=str(Path(__file__).parents[1]))
     run = [sys.executable, "-c", code, str(folder)]
     ended = subprocess.run(run, check=False, stdout=subprocess.PIPE, text=True, timeout=300)
@@ -236,13 +242,18 @@ def test_a_blender_that_is_killed_takes_its_bake_along_and_the_next_one_goes_on(
         assert time.monotonic() < end
         time.sleep(0.1)
     finished = {path.name: path.stat().st_mtime_ns for path in folder.glob("rest-*")}
+    (left,) = copies.glob(f"{file_process.PREFIX}*")
     assert finished
+    monkeypatch.setattr(file_process, "LEFT_BEHIND", -1.0)
     # Its lock is free, and what was finished is not made again.
     empty_scene()
     arm = build_arm()
     settings = arm.sleeve.wrinkles
     settings.database = str(folder)
     with BakeProcess(arm.sleeve) as process:
+        assert not left.exists()
+        assert len(list(copies.glob(f"{file_process.PREFIX}*"))) == 1
+        file_process.sweep()
         while not process.progress.done:
             assert process.poll(0.1)
     assert {path.name: path.stat().st_mtime_ns for path in folder.glob("rest-*")} == finished

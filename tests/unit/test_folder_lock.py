@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from wrinkle_synthesis.wrinkle_addon.folder_lock import LOCK, FolderLock
+from wrinkle_synthesis.wrinkle_addon.folder_lock import LOCK, FolderLock, is_locked
 from wrinkle_synthesis.wrinkle_addon.storage import StorageError
 
 HOLDER = """
@@ -26,7 +26,8 @@ def test_a_second_one_is_told_who_holds_it(tmp_path: Path) -> None:
     with FolderLock(tmp_path):
         with pytest.raises(StorageError, match=rf"Another Blender is baking into .*process {os.getpid()} on "):
             FolderLock(tmp_path)
-    assert not (tmp_path / LOCK).exists()
+        assert is_locked(tmp_path)
+    assert not (tmp_path / LOCK).exists() and not is_locked(tmp_path)
     FolderLock(tmp_path).close()
 
 
@@ -38,7 +39,7 @@ def test_the_lock_of_a_process_that_died_is_free(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match=f"process {holder.pid}"):
         FolderLock(tmp_path)
     holder.communicate()
-    assert holder.returncode == 9 and (tmp_path / LOCK).exists()
+    assert holder.returncode == 9 and (tmp_path / LOCK).exists() and not is_locked(tmp_path)
     FolderLock(tmp_path).close()
 
 

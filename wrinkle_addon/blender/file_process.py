@@ -18,12 +18,17 @@ from typing import Any, Protocol
 import bpy
 
 from ..attendance import GO_ON, PAUSE
-from ..folder_lock import FolderLock
+from ..folder_lock import FolderLock, is_locked
 from .command import own_command
 from .relative_paths import absolute_paths
 
 BAKE, SIMULATE, SYNTHESIZE, EVALUATE, COMPRESS = "bake", "simulate", "synthesize", "evaluate", "flow compress"
 """Verbs that are run behind the window."""
+
+PREFIX = "wrinkle-process-"
+"""Of the folders that copies lie in, among what is temporary."""
+LEFT_BEHIND = 60.0
+"""A folder of this age that nobody has locked by now was left by a Blender that crashed [s]."""
 
 PATIENCE = 5.0
 """Time that a process gets to end by itself before it is killed [s]."""
@@ -102,7 +107,9 @@ class FileProcess:
         self._killed_at = 0.0
         self._error = self._last_line = ""
         self._lock = None if lock is None else FolderLock(lock)
-        self._folder = Path(tempfile.mkdtemp(prefix="wrinkle-process-"))
+        sweep()
+        self._folder = Path(tempfile.mkdtemp(prefix=PREFIX))
+        self._own = FolderLock(self._folder)
         self._process: subprocess.Popen[str] | None = None
         self._lines: queue.Queue[str | None] = queue.Queue()
         self._said_all = False
@@ -231,6 +238,7 @@ class FileProcess:
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()
+        self._own.close()
         shutil.rmtree(self._folder, ignore_errors=True)
         if self._lock is not None:
             self._lock.close()
@@ -251,6 +259,17 @@ class FileProcess:
             self._error = event["message"]
         else:
             self.progress = self.progress.after(event)
+
+
+def sweep() -> None:
+    """Remove what Blenders that crashed have left."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+        try:
+            old = time.time() - folder.stat().st_mtime > LEFT_BEHIND
+        except OSError:
+            continue  # Another one has just removed it.
+        if old and not is_locked(folder):
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 running: dict[int, FileProcess] = {}
