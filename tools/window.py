@@ -49,6 +49,7 @@ def main(*, day_only: bool) -> None:
     _step(root, "the zip is installed", [*BLENDER, *install])
     if not day_only:
         _in_the_background(root)
+        _first_frames(root)
     _first_day(root)
 
 
@@ -62,17 +63,34 @@ def _in_the_background(root: Path) -> None:
         _step(root, f"renders of {engine} are right by their pixels", command)
 
 
+def _first_frames(root: Path) -> None:
+    """How long a baked file takes to its first wrinkled frame, at the very first start and from the second on."""
+    _forget_kernels(root)
+    for start in ("first", "second"):
+        command = _window("ready.blend", "first_frame.py", time.time())
+        _step(root, f"a baked file wrinkles at the {start} start", command)
+
+
 def _first_day(root: Path) -> None:
     """From the first start on, whose kernels are not compiled yet, in a window."""
-    shutil.rmtree(root / FRESH["WARP_CACHE_PATH"].strip("/"), ignore_errors=True)
-    size = ["--window-geometry", "0", "0", "1280", "1700"]
-    script = ["--python-exit-code", "1", f"{INSIDE}/figure.blend", "--python", f"{INSIDE}/source/tests/window/drive.py"]
+    _forget_kernels(root)
     try:
-        _step(root, "the window is clicked through", with_screen([*BLENDER, *size, *script, "--", f"{INSIDE}/shots"]))
+        _step(root, "the window is clicked through", _window("figure.blend", "drive.py", f"{INSIDE}/shots"))
     finally:
         shutil.rmtree(SHOTS, ignore_errors=True)
         shutil.copytree(root / INSIDE.strip("/") / "shots", SHOTS)
         print(f"window: screenshots are in {SHOTS.relative_to(ROOT)}.", flush=True)
+
+
+def _window(file: str, script: str, argument: object) -> list[object]:
+    """A command line that opens a file in a window, where a script drives it."""
+    size = ["--window-geometry", "0", "0", "1280", "1700"]
+    driven = ["--python-exit-code", "1", f"{INSIDE}/{file}", "--python", f"{INSIDE}/source/tests/window/{script}"]
+    return with_screen([*BLENDER, *size, *driven, "--", argument])
+
+
+def _forget_kernels(root: Path) -> None:
+    shutil.rmtree(root / FRESH["WARP_CACHE_PATH"].strip("/"), ignore_errors=True)
 
 
 def _lay_out(root: Path) -> str:

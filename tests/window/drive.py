@@ -238,8 +238,27 @@ def render(hand: Hand) -> Steps:
         scene.render.filepath = str(SHOTS / "still.png")
         bpy.ops.render.render(write_still=True)
         np.testing.assert_array_equal(from_window, pixels(SHOTS / "still.png"))
+    yield from render_quickly(hand)
     for picture in (*SHOTS.glob("render_*"), SHOTS / "still.png"):
         picture.unlink()
+
+
+def render_quickly(hand: Hand) -> Steps:
+    """A still of less detail than the viewport's, which shows its own again when the render is over."""
+    settings = garment().wrinkles
+    full = positions(garment())
+    settings.render_detail = settings.viewport_detail = "QUICK"
+    quick = positions(garment())
+    assert (quick != full).any(), "The push-out does nothing here, so nothing would be seen of it."
+    settings.viewport_detail = "FULL"
+    np.testing.assert_array_equal(positions(garment()), full)
+    with bpy.context.temp_override(window=hand.window, area=hand.area):
+        bpy.ops.render.render("INVOKE_DEFAULT")
+    yield 0.5
+    yield from wait_for(lambda: not bpy.app.is_job_running("RENDER"), "the still is rendered")
+    yield 1.0
+    np.testing.assert_array_equal(positions(garment()), full)
+    settings.render_detail = "FULL"
 
 
 def pixels(path: Path) -> np.ndarray:
