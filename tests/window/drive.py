@@ -179,7 +179,7 @@ def cancel_a_bake(hand: Hand) -> Steps:
     """Stop a bake by its button: its process ends, finished samples stay."""
     settings = garment().wrinkles
     settings.database = settings.database.replace(".wrinkles", "_other.wrinkles")
-    settings.budget = 60
+    settings.budget = 250
     for joint in settings.joints:
         joint.enabled = True
     yield from hand.click("wrinkle.bake")
@@ -191,7 +191,7 @@ def cancel_a_bake(hand: Hand) -> Steps:
     yield from wait_for(lambda: not file_process.running, "the window has noticed")
     assert list(Path(bpy.path.abspath(settings.database)).glob("rest-*"))
     yield from hand.shoot("cancelled")
-    settings.database = settings.database.replace("_other", "")
+    settings.database, settings.budget = settings.database.replace("_other", ""), 36
     yield 1.0
     yield from until_played()
     assert wrinkles() > 1e-3

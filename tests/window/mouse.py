@@ -13,6 +13,8 @@ Steps = Iterator[float]
 
 ROW = 11
 """Half the height of a button [pixels]."""
+NEAR = 24
+"""So many places around the last button are looked at first, and with patience."""
 
 
 class Hand:
@@ -62,11 +64,12 @@ class Hand:
         """
         sidebar = self.region("UI")
         rows = range(sidebar.y + sidebar.height - 2 * ROW, sidebar.y, -ROW)
-        # A step's buttons come and go in one place.
-        for y in sorted(rows, key=lambda y: abs(y - self._last)):
-            for share in (0.3, 0.75):
+        places = [(share, y) for y in sorted(rows, key=lambda y: abs(y - self._last)) for share in (0.3, 0.75)]
+        # A step's buttons come and go in one place, and while much is drawn Blender sees late what the pointer is over.
+        for patience, some in ((0.25, places[:NEAR]), (0.06, places), (0.25, places)):
+            for share, y in some:
                 self.point(sidebar.x + int(share * sidebar.width), y)
-                yield 0.06
+                yield patience
                 if self._button() == operator:
                     self._last = y
                     yield 0.2
