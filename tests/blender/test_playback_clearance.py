@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 from small_character import Arm, Bumps, build_arm, empty_scene, evaluated_positions, heights
-from wrinkle_synthesis.wrinkle_addon.blender import handlers, playback
+from wrinkle_synthesis.wrinkle_addon.blender import playback
 from wrinkle_synthesis.wrinkle_addon.pc2 import PointCache
 
 # Bumps that lift the sleeve by up to 24 mm: its lower side goes through the arm, 12 mm away.
@@ -89,24 +87,6 @@ def test_the_push_may_be_left_out_in_the_viewport_or_in_renders(
     np.testing.assert_allclose(rendered[-1], shapes[in_render], atol=1e-6)
     bpy.context.view_layer.update()
     np.testing.assert_allclose(evaluated_positions(arm.sleeve), shapes[in_viewport], atol=1e-6)
-
-
-def test_after_a_render_a_window_sees_to_its_viewport_once_and_in_its_own_thread(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    jobs, threads = ["RENDER"], list[threading.Thread]()
-    app = SimpleNamespace(background=False, is_job_running=jobs.count)
-    monkeypatch.setattr(handlers, "bpy", SimpleNamespace(app=app))
-    monkeypatch.setattr(handlers, "tag_garments", lambda: threads.append(threading.current_thread()))
-    render = threading.Thread(target=handlers.end_render)
-    render.start()
-    render.join()
-    handlers.follow_renders()
-    assert not threads, "Another render goes on."
-    jobs.clear()
-    for _ in range(2):
-        assert handlers.follow_renders() > 0.0
-    assert threads == [threading.main_thread()]
 
 
 def test_a_played_garment_is_outside_its_body(scene: bpy.types.Scene, arm: Arm) -> None:

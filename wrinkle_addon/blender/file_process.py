@@ -10,7 +10,8 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -130,7 +131,7 @@ class FileProcess:
     def _save_copy(self) -> Path:
         copy = self._folder / "copy.blend"
         try:
-            with absolute_paths():
+            with absolute_paths(), _no_preview():
                 bpy.ops.wm.save_as_mainfile(filepath=str(copy), copy=True, check_existing=False)
         except RuntimeError as error:
             reason = " ".join(str(error).split())
@@ -259,6 +260,18 @@ class FileProcess:
             self._error = event["message"]
         else:
             self.progress = self.progress.after(event)
+
+
+@contextmanager
+def _no_preview() -> Iterator[None]:
+    """Save without a picture for the file browser, which takes a window longer to draw than all else of saving."""
+    preferences = bpy.context.preferences
+    kind, dirty = preferences.filepaths.file_preview_type, preferences.is_dirty
+    preferences.filepaths.file_preview_type = "NONE"
+    try:
+        yield
+    finally:
+        preferences.filepaths.file_preview_type, preferences.is_dirty = kind, dirty
 
 
 def sweep() -> None:

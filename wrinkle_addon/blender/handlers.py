@@ -21,9 +21,6 @@ from .write import show_skinned
 RENDER_FAILED = 3
 """Exit code of a background process in which a garment could not be played."""
 
-RENDER_TICK = 0.3
-"""Time between two looks at whether a render has ended in a window [s]."""
-
 _saved_frames: dict[int, float] = {}
 """Frames that modifiers showed when saving began, by the session_uid of the garment."""
 
@@ -90,15 +87,9 @@ def play_changes(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None
 
 @dataclass
 class Render:
-    """Where renders are.
-
-    Attributes:
-        goes_on: Whether the background renders; what the viewport would show is not to come in between.
-        ended: Whether a window has rendered since its viewport was last seen to.
-    """
+    """Whether the background renders; what the viewport would show is not to come in between."""
 
     goes_on: bool = False
-    ended: bool = False
 
 
 _render = Render()
@@ -112,19 +103,10 @@ def begin_render(scene: bpy.types.Scene | None = None, depsgraph: bpy.types.Deps
 
 @persistent
 def end_render(scene: bpy.types.Scene | None = None, depsgraph: bpy.types.Depsgraph | None = None) -> None:
-    """The viewport shows its own detail again; a window's a moment later, as this is the thread of its render."""
+    """The viewport shows its own detail again; a window's does by itself, to which what a render wrote is a change."""
     if _render.goes_on:
         _render.goes_on = False
         tag_garments()
-    _render.ended = not bpy.app.background
-
-
-def follow_renders() -> float:
-    """See to the viewport after a render, in the window's own thread."""
-    if _render.ended and not bpy.app.is_job_running("RENDER"):
-        _render.ended = False
-        tag_garments()
-    return RENDER_TICK
 
 
 @persistent
@@ -234,15 +216,13 @@ def register() -> None:
     _remove_handlers()
     for name, handler in HANDLERS.items():
         getattr(bpy.app.handlers, name).append(handler)
-    if not bpy.app.background:
-        bpy.app.timers.register(follow_renders, persistent=True)
     _play_soon()
 
 
 def unregister() -> None:
     """Remove the handlers; garments go back to their skinned shape."""
     _remove_handlers()
-    for timer in (tag_garments, look, follow_renders, _grant_wishes):
+    for timer in (tag_garments, look, _grant_wishes):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
     playback.forget_all()
