@@ -246,7 +246,7 @@ def test_the_plan_is_counted_as_it_is_changed(wrinkle, shirt: bpy.types.Object, 
         bpy.ops.wm.open_mainfile(filepath=str(path))
         shirt = bpy.data.objects["shirt"]
         assert (shown.samples, shown.simulated) == (planned["samples"], planned["simulated"])
-        assert shown.megabytes == pytest.approx(planned["raw_bytes"] / 1e6)
+        assert shown.megabytes == pytest.approx(planned["stored_bytes"] / 1e6)
         assert shown.seconds == pytest.approx(3600 * planned["hours"])
 
 

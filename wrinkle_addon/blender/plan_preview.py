@@ -23,7 +23,7 @@ class PlanPreview:
 
     Attributes:
         samples, simulated: How many there are, and how many of them are no mirror images, rest included.
-        megabytes: Size as raw positions, which the database stays below.
+        megabytes: About how large the database is.
         seconds: About how long a bake takes on one CPU core [s].
         grids: Number of angles of every sampled joint, by degree of freedom.
     """
@@ -55,7 +55,7 @@ def preview_plan(garment: bpy.types.Object) -> PlanPreview | None:
     return PlanPreview(
         len(plan.samples) + 1,
         len(plan.simulated) + 1,
-        plan.raw_bytes(count) / 1e6,
+        plan.stored_bytes(count) / 1e6,
         plan.seconds(count),
         {grid.joint.name: grid.shape for grid in plan.grids},
     )

@@ -51,18 +51,19 @@ def plan(options: argparse.Namespace) -> Mapping[str, Any]:
         }
         for grid in sample_plan.grids
     }
-    raw = sample_plan.raw_bytes(vertices)
+    stored = sample_plan.stored_bytes(vertices)
     text = [f"{name}: {' x '.join(map(str, joint['grid']))}" for name, joint in joints.items()]
     text.append(
         f"{len(sample_plan.samples) + 1} samples, {len(sample_plan.simulated) + 1} to simulate, "
-        f"at most {raw / 1e6:.3g} MB, about {duration_text(seconds)} on one core"
+        f"about {stored / 1e6:.3g} MB and {duration_text(seconds)} on one core"
     )
     return {
         "samples": len(sample_plan.samples) + 1,
         "simulated": len(sample_plan.simulated) + 1,
         "vertices": vertices,
         "joints": joints,
-        "raw_bytes": raw,
+        "raw_bytes": sample_plan.raw_bytes(vertices),
+        "stored_bytes": stored,
         "hours": seconds / 3600.0,
         "symmetric": sample_plan.mirror is not None,
         "key": job.key,

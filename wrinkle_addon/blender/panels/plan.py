@@ -38,7 +38,7 @@ class WRINKLE_PT_plan(GarmentPanel, bpy.types.Panel):
         numbers = {"To Simulate": translated("{count} and the rest pose").format(count=preview.simulated - 1)}
         if preview.simulated < preview.samples:
             numbers["Mirrored"] = str(preview.samples - preview.simulated)
-        numbers["Size"] = translated("{size:.1f} MB at most").format(size=max(preview.megabytes, 0.1))
+        numbers["Size"] = translated("about {size:.1f} MB").format(size=max(preview.megabytes, 0.1))
         numbers["On One Core"] = translated("about {time}").format(time=preview.duration)
         try:
             numbers["Device"] = choose_device(device_name())
