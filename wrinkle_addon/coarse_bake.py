@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from .coarse_cache import STATE_EVERY, CoarseCache, CoarseFrame, Motion, NotSimulated, Points, moved
+from .storage import StorageError
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +40,8 @@ class Simulation(Protocol):
     def start(self, body_positions: Any, carried: Sequence[Any]) -> Any: ...
 
     def step(self, body_positions: Any, carried: Sequence[Any], dt: float) -> Any: ...
+
+    def look_ahead(self) -> None: ...
 
     @property
     def positions(self) -> Sequence[Points]: ...
@@ -85,14 +88,20 @@ class CoarseHistory:
     def advance(self, scene: SceneFrame, *, keep_state: bool = False) -> Mapping[str, Any]:
         """Simulate a frame that :meth:`follows`, and put it into the cache in place of what lies there and after it.
 
+        Its file is written behind.
+
         Args:
             scene: What drives it.
             keep_state: Store all it takes to go on from here, whatever the frame.
 
         Returns:
             What there is to say of the step.
+
+        Raises:
+            StorageError: If the frame before it cannot be written.
         """
         report = self.step(scene)
+        self._flush()
         offset = scene.frame - self.cache.first
         state = self.simulation.state() if keep_state or offset % STATE_EVERY == 0 else None
         arrays = {one.name: np.asarray(getattr(state, one.name)) for one in fields(state)} if state is not None else {}
@@ -100,6 +109,13 @@ class CoarseHistory:
         self.cache.cut(scene.frame)
         self.cache.write(scene.frame, CoarseFrame(positions, scene.motion, arrays, report))
         return report
+
+    def _flush(self) -> None:
+        try:
+            self.cache.flush()
+        except StorageError:
+            self.frame = None  # What was simulated after the cache's last frame is lost.
+            raise
 
     def step(self, scene: SceneFrame) -> Mapping[str, Any]:
         """Simulate a frame without a word to the cache."""
@@ -178,4 +194,7 @@ def bake_history(history: CoarseHistory, scenes: Iterable[SceneFrame], last: int
                 history.step(passed)
             recent = []
         report = history.advance(scene, keep_state=scene.frame == last)
+        history.simulation.look_ahead()
+        # What is said to be done is.
+        cache.flush()
         yield BakedFrame(scene.frame, False, differing, report)

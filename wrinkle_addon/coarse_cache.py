@@ -18,6 +18,7 @@ those of now. A frame depends on all frames before it, so one that has another m
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -36,6 +37,9 @@ STATE_EVERY = 25
 """Frames between two that can be gone on from."""
 SAME_MOTION = 1.0e-4
 """Points that are this near to where they were have not moved [m]: what threads and processors leave open."""
+
+_writer = ThreadPoolExecutor(1, "wrinkle-cache")
+"""Waits for the disk, so that nobody else has to."""
 
 Points = NDArray[np.float32]
 Motion = Mapping[str, Points]
@@ -127,8 +131,10 @@ class CoarseCache:
     spec: CoarseSpec
     first: int
     last: int
-    _written: tuple[int, CoarseFrame] | None = None
-    """The frame that was written last: played as it is simulated, a frame is read at once, by every garment."""
+    _newest: tuple[int, CoarseFrame] | None = None
+    """The frame that was added last: played as it is simulated, a frame is read at once, by every garment."""
+    _writing: Future[None] | None = None
+    """Comes to an end when it is in its file."""
 
     @staticmethod
     def open(folder: Path) -> CoarseCache:
@@ -228,8 +234,8 @@ class CoarseCache:
             raise NotSimulated(
                 f"The coarse simulation in '{self.folder}' {held}, not frame {frame}; simulate {there} it."
             )
-        if self._written is not None and self._written[0] == frame:
-            return self._written[1]
+        if self._newest is not None and self._newest[0] == frame:
+            return self._newest[1]
         arrays, metadata = storage.read_arrays(self._path(frame))
         found: dict[str, dict[str, NDArray[Any]]] = {"positions": {}, "motion": {}, "state": {}}
         for name, array in arrays.items():
@@ -261,20 +267,40 @@ class CoarseCache:
     # --- writing --------------------------------------------------------------------------------------------------
 
     def write(self, frame: int, content: CoarseFrame) -> None:
-        """Add the frame after the last one.
+        """Add the frame after the last one; its file is written behind, until :meth:`flush` comes back.
 
         Raises:
-            StorageError: If it cannot be written.
+            StorageError: If the one before it cannot be written.
         """
         if frame != self.last + 1:
             raise ValueError(f"After frame {self.last} comes frame {self.last + 1}, not {frame}.")
+        self.flush()
+        self.last, self._newest = frame, (frame, content)
+        self._writing = _writer.submit(self._store, frame, content)
+
+    def flush(self) -> None:
+        """Come back when every frame is in its file.
+
+        Raises:
+            StorageError: If the last one cannot be written; then it is not there.
+        """
+        writing, self._writing = self._writing, None
+        if writing is None:
+            return
+        try:
+            writing.result()
+        except StorageError:
+            self.last, self._newest = self.last - 1, None
+            raise
+
+    def _store(self, frame: int, content: CoarseFrame) -> None:
         parts = {"positions": content.positions, "motion": content.motion, "state": content.state}
         arrays = {f"{part}/{name}": array for part, values in parts.items() for name, array in values.items()}
         storage.write_arrays(self._path(frame), arrays, {"frame": frame, "report": dict(content.report)})
-        self.last, self._written = frame, (frame, content)
 
     def cut(self, frame: int) -> None:
         """Forget this frame and all after it, the last first, so that what is left never has a gap."""
+        self.flush()
         for gone in range(self.last, max(frame, self.first) - 1, -1):
             self._path(gone).unlink(missing_ok=True)
             self.last = gone - 1

@@ -94,6 +94,7 @@ class CoarseContact:
         self._outward = self._zeros((1, self._count), wp.vec3)
         self._facing = Facing(model, self._faces, 1)
         self.gap = self._zeros(self._count, wp.float32)
+        self._found = [wp.zeros_like(values) for values in (self.found_from, self.candidate, self.gap)]
         self.ahead, self.touching = self._zeros((1, self._count), wp.vec3d), self._zeros(self._count, wp.int32)
         self._none, self._all = self._zeros(1, wp.int32), wp.ones(1, dtype=wp.int32, device=device)
         self._make_pairs()
@@ -105,17 +106,22 @@ class CoarseContact:
         self.candidate.fill_(frame_steps.UNKNOWN)
 
     def move_body(self, positions: np.ndarray) -> None:
-        """Let the body go on to the coming frame [m], shape [body_vertex_count, 3]."""
-        advance(self.points, positions)
-        wp.copy(self.normals.earlier, self.normals.last)
-        wp.copy(self.normals.last, self.normals.coming)
+        """Let the body set out for the coming frame [m], shape [body_vertex_count, 3]."""
+        self.points.coming.assign(positions)
         points, normals = (path.coming.reshape(self.body.points.shape) for path in (self.points, self.normals))
         self._launch_normals(points, self.body.faces, self._body_corners, self._body_face_normals, normals)
+
+    def arrive(self) -> None:
+        """The body has come to the coming frame."""
+        arrive(self.points)
+        arrive(self.normals)
 
     def find(self, positions: wp.array, skin: frame_steps.Path) -> None:
         """Look for what is near at the beginning of a frame (float64 [m], [1, vertex_count]): once for all its steps.
 
         The skinned garment tells where a vertex's outside is, or the garment itself where it has turned away from it.
+        Only :meth:`take_found` lets it count; until then nothing that outlives a frame is touched, so that it may go on
+        on another thread.
         """
         for here, path in ((self.body.points, self.points), (self.body.normals, self.normals)):
             wp.copy(here, path.last.reshape(here.shape))
@@ -126,6 +132,11 @@ class CoarseContact:
         if self._pair_count:
             searches.append(partial(self._find_pairs, positions))
         run_side_by_side(searches, self._threads)
+
+    def take_found(self) -> None:
+        """Let what was found last count from now on."""
+        for kept, found in zip((self.found_from, self.candidate, self.gap), self._found, strict=True):
+            wp.copy(kept, found)
 
     # What a step launches; all of it can be recorded.
 
@@ -196,8 +207,10 @@ class CoarseContact:
     def _find_candidates(self, positions: wp.array) -> None:
         self._facing.set_outward(self._outward)
         self._facing.turn(positions)
+        for kept, found in zip((self.found_from, self.candidate, self.gap), self._found, strict=True):
+            wp.copy(found, kept)
         inputs = [positions, self._facing.directions, self._limbs, self.body, self.points, self._reach, self._lift]
-        self._launch(frame_steps.find_candidates, self._count, inputs, [self.found_from, self.candidate, self.gap])
+        self._launch(frame_steps.find_candidates, self._count, inputs, self._found)
 
     def _find_pairs(self, positions: wp.array) -> None:
         c = self.frozen
@@ -277,8 +290,7 @@ def make_path(count: int, device: Any) -> frame_steps.Path:
     return path
 
 
-def advance(path: frame_steps.Path, positions: np.ndarray) -> None:
-    """Let points go on to a coming frame [m], shape [point_count, 3]."""
+def arrive(path: frame_steps.Path) -> None:
+    """The coming frame is the last one."""
     wp.copy(path.earlier, path.last)
     wp.copy(path.last, path.coming)
-    path.coming.assign(positions)

@@ -41,12 +41,12 @@ from ..kernels.cloth import (
 from .cloth import STANDARD_GRAVITY
 from .cloth_contact import ContactSettings
 from .cloth_model import FloatArray, join_models
-from .coarse_contact import CoarseContact, advance, make_path
+from .coarse_contact import CoarseContact, arrive, make_path
 from .coarse_layers import CoarseLayer, CoarseReport, CoarseSettings, CoarseState, model_of, shares_of
 from .divergence import first_lost
 from .elasticity import Elasticity, upload_garment
 from .linear_solver import BlockSystem
-from .threads import THREADS, run_side_by_side
+from .threads import THREADS, Ahead, run_side_by_side
 from .time_integration import step_coefficients
 
 __all__ = ["CoarseLayer", "CoarseReport", "CoarseSettings", "CoarseSimulation", "CoarseState"]
@@ -122,6 +122,7 @@ class CoarseSimulation:
         )
         self._allocate()
         self._graphs: list[wp.Graph] = []
+        self._search: Ahead | None = None
         self._last_step: float | None = None
         self.set_gravity([0.0, 0.0, -STANDARD_GRAVITY])
 
@@ -147,8 +148,8 @@ class CoarseSimulation:
             candidates=contact_.candidate.numpy().copy(),
             found_from=contact_.found_from.numpy().copy(),
             heights=contact_.gap.numpy().copy(),
-            body=np.stack([points.last.numpy(), points.coming.numpy()]),
-            skin=np.stack([skin.last.numpy(), skin.coming.numpy()]),
+            body=np.stack([points.earlier.numpy(), points.last.numpy()]),
+            skin=np.stack([skin.earlier.numpy(), skin.last.numpy()]),
             last_step=np.array([self._last_step or 0.0]),
         )
 
@@ -160,9 +161,10 @@ class CoarseSimulation:
         """
         if state.positions.shape != (1, self.model.vertex_count, 3) or state.body.shape[1] != self._body_count:
             raise ValueError("The state belongs to other garments or to another body; simulate from the first frame.")
+        self._forget_search()
         for body, skin in zip(state.body, state.skin, strict=True):
-            self._contact.move_body(body)
-            advance(self._skin, skin)
+            self._set_out(body, skin)
+            self._arrive()
         for name in MOTION:
             getattr(self._motion, name).assign(getattr(state, name))
         self._contact.anchor_face.assign(state.anchor_faces)
@@ -195,23 +197,31 @@ class CoarseSimulation:
             raise ValueError(f"A frame must last longer than 0 s, not {dt} s; check the frame rate.")
         body, skin = self._given(body_positions, carried)
         sample = slice(None, None, 1 + self._body_count // SPEED_SAMPLE)
-        moved = body[sample] - self._contact.points.coming.numpy()[sample]
+        moved = body[sample] - self._contact.points.last.numpy()[sample]
         speed = float(np.median(np.linalg.norm(moved, axis=1))) / dt
         if speed > self._teleport:
             return self._restart(body, skin, f"The body jumped at {speed:.0f} m/s.")
-        self._contact.move_body(body)
-        advance(self._skin, skin)
+        self._set_out(body, skin)
         self._advance(dt)
         if not np.isfinite(self._motion.positions.numpy()).all():
             return self._restart(body, skin, "The garment was thrown about too fast to follow.")
         return self._report(False, "")
 
+    def look_ahead(self) -> None:
+        """Begin to look for what is near at the beginning of the coming frame, on another thread of a CPU.
+
+        It is known before the body sets out. The frame is the same to the bit without it.
+        """
+        if self._search is None and self._threads > 1:
+            self._search = Ahead(self._find)
+
     # Inner workings
 
     def _restart(self, body: NDArray[np.float32], skin: NDArray[np.float32], reason: str) -> CoarseReport:
-        for _ in range(3):
-            self._contact.move_body(body)
-            advance(self._skin, skin)
+        self._forget_search()
+        self._set_out(body, skin)
+        for _ in range(2):
+            self._arrive()
         for name in MOTION:
             getattr(self._motion, name).zero_()
         self._motion.positions.assign(skin.astype(np.float64)[None])
@@ -229,7 +239,8 @@ class CoarseSimulation:
         self._elasticity.set_damping_rate(0.0)
         for _ in range(SETTLE_STEPS):
             before = self._motion.positions.numpy().copy()
-            self._contact.find(self._motion.positions, self._skin)
+            self._find()
+            self._contact.take_found()
             self._launch_step([SETTLE_SPAN, -1.0, 0.0, SETTLE_SPAN, 1.0, 1.0])
             self._rest()
             if np.linalg.norm(self._motion.positions.numpy() - before, axis=2).max() < SETTLED:
@@ -242,7 +253,9 @@ class CoarseSimulation:
 
     def _advance(self, dt: float) -> None:
         """The steps of a frame of ``dt`` [s]."""
-        self._contact.find(self._motion.positions, self._skin)
+        search, self._search = self._search or Ahead(self._find, kept=True), None
+        search.finish()
+        self._contact.take_found()
         length = dt / self._steps
         self._elasticity.set_damping_rate(1.0 / length)
         for number in range(self._steps):
@@ -251,6 +264,26 @@ class CoarseSimulation:
             shares = [number / self._steps, (number + 1) / self._steps]
             self._launch_step([c.span, c.now, c.before, length, *shares])
         self._show()
+        self._arrive()
+
+    def _find(self) -> None:
+        self._contact.find(self._motion.positions, self._skin)
+
+    def _forget_search(self) -> None:
+        """What was begun is of another motion than what comes."""
+        search, self._search = self._search, None
+        if search is not None:
+            search.finish()
+
+    def _set_out(self, body: NDArray[np.float32], skin: NDArray[np.float32]) -> None:
+        """Body and skin set out for the coming frame."""
+        self._contact.move_body(body)
+        self._skin.coming.assign(skin)
+
+    def _arrive(self) -> None:
+        """The coming frame is the last one."""
+        self._contact.arrive()
+        arrive(self._skin)
 
     def _launch_step(self, clock: list[float]) -> None:
         """One time step; ``clock`` as :mod:`..kernels.cloth.frame_steps` reads it."""

@@ -52,7 +52,7 @@ from ..kernels.transfer import (
 from .cloth_model import FloatArray, IntArray
 from .correspondence import Correspondence
 from .garment import Regions, vertex_neighbours
-from .method import SplitLaunch
+from .method import RecordedLaunch, SplitLaunch
 from .topology import border_edges, row_starts, rows_of
 
 SMOOTHING_STEP = 0.5
@@ -122,9 +122,10 @@ class DetailTransfer:
         self._rows = self._upload_rows(start, columns, weights)
         self._coarse_count = match.coarse_count
         self._carried = wp.zeros(match.fine_count, dtype=wp.vec3, device=self.device)
-        self._offsets = wp.zeros((1, match.coarse_count), dtype=mat_lanes, device=self.device)
-        self._launch = SplitLaunch(match.fine_count, self.device)
-        self._launch_coarse = SplitLaunch(match.fine_count, self.device, block_count=match.coarse_count)
+        self._split = SplitLaunch(match.fine_count, self.device)
+        self._split_coarse = SplitLaunch(match.fine_count, self.device, block_count=match.coarse_count)
+        self._joining: RecordedLaunch | None = None
+        self._sides, self._stages = 0, list[RecordedLaunch]()
 
     def _upload_rows(self, start: IntArray, entries: IntArray, weights: NDArray[np.float32]) -> list[wp.array]:
         kinds = (wp.int32, wp.int32, wp.float32)
@@ -148,12 +149,20 @@ class DetailTransfer:
     def align_all(self, coarse: wp.array, meshes: wp.array, strength: float = 1.0) -> None:
         """:meth:`align` for several meshes of the garment, each by itself, shape [mesh_count, fine_count]."""
         sides = -(-meshes.shape[0] // LANES)
-        if self._offsets.shape[0] != sides:
-            self._offsets = wp.zeros((sides, self._coarse_count), dtype=mat_lanes, device=self.device)
-        self._launch(place_on_coarse, [coarse, self._corners, self._places], [self._carried])
-        inputs = [coarse, self._carried, meshes, *self._members, self.settings.as_published, strength]
-        self._launch_coarse(downsample_offsets, inputs, [self._offsets])
-        self._launch(upsample_offsets, [self._offsets, *self._rows], [meshes])
+        if self._sides != sides:
+            self._sides, self._stages = sides, self._record(coarse, meshes, sides)
+        for stage in self._stages:
+            stage({"coarse": coarse, "meshes": meshes, "strength": strength})
+
+    def _record(self, coarse: wp.array, meshes: wp.array, sides: int) -> list[RecordedLaunch]:
+        """What aligning launches, in turn."""
+        offsets = wp.zeros((sides, self._coarse_count), dtype=mat_lanes, device=self.device)
+        down = [coarse, self._carried, meshes, *self._members, self.settings.as_published, 1.0]
+        return [
+            self._split.record(place_on_coarse, [coarse, self._corners, self._places], [self._carried]),
+            self._split_coarse.record(downsample_offsets, down, [offsets]),
+            self._split.record(upsample_offsets, [offsets, *self._rows], [meshes]),
+        ]
 
     def blend(self, meshes: wp.array, shares: wp.array, positions: wp.array) -> None:
         """Weighted mean of aligned meshes, shape [fine_count]; shares [mesh_count, fine_count] add up to 1 (W86)."""
@@ -161,7 +170,9 @@ class DetailTransfer:
 
     def join(self, meshes: wp.array, positions: wp.array) -> None:
         """The first aligned mesh with the other meshes' offsets from it joined as joints' are, shape [fine_count]."""
-        self._launch(join_meshes, [meshes], [positions])
+        if self._joining is None:
+            self._joining = self._split.record(join_meshes, [meshes], [positions])
+        self._joining({"meshes": meshes, "positions": positions})
 
 
 # --- the operator -------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from ..kernels.cloth import assembly, coarse, linear
 from .cloth_model import ClothModel
 from .coarse_correction import CoarseCorrection
 from .elasticity import Elasticity
-from .topology import IntArray
+from .topology import IntArray, rows_of
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -61,6 +61,7 @@ class BlockSystem:
         self._contribution_start = upload(model.contribution_start, wp.int32)
         self._contributions = upload(model.contributions, wp.int32)
         self._block_bending = upload(model.block_bending, wp.float64)
+        self._mirrored = upload(_mirrored(model), wp.vec2i)
         self._far_start = upload(model.far_start, wp.int32)
         self._far_columns = upload(model.far_columns, wp.int32)
         self._far_coefficients = upload(model.far_coefficients, wp.float32)
@@ -99,7 +100,7 @@ class BlockSystem:
         elasticity.linearise(kept)
         wp.launch(
             assembly.assemble_blocks,
-            dim=self.blocks.shape,
+            dim=(self.shape[0], len(self._mirrored)),
             inputs=[
                 self._garment,
                 elasticity.deformation,
@@ -108,6 +109,7 @@ class BlockSystem:
                 self._contribution_start,
                 self._contributions,
                 self._block_bending,
+                self._mirrored,
             ],
             outputs=[self.blocks],
             device=self._device,
@@ -297,6 +299,15 @@ class BlockSystem:
             [self._beta],
         )
         launch(linear.turn_direction, self.shape, [self._beta, self._preconditioned, self._direction], [])
+
+
+def _mirrored(model: ClothModel) -> IntArray:
+    """Blocks on and above the diagonal, each with the one that mirrors it, shape [pair_count, 2]."""
+    rows, columns = rows_of(model.row_start).astype(np.int64), model.columns.astype(np.int64)
+    # Ascending, as blocks are.
+    mirror = np.searchsorted(rows * model.vertex_count + columns, columns * model.vertex_count + rows)
+    above = np.flatnonzero(rows <= columns)
+    return np.stack([above, mirror[above]], 1).astype(np.int32)
 
 
 def _launcher(device: wp.Device) -> Callable[[Any, Any, list, list], None]:

@@ -98,8 +98,8 @@ class SplitLaunch:
 
     def _parts(self, count: int) -> list[tuple[int, int]]:
         """First block and number of blocks of so many parts."""
-        edges = np.linspace(0, self._block_count, count + 1).astype(int)
-        return [(int(a), int(b - a)) for a, b in itertools.pairwise(edges) if b > a]
+        edges = [self._block_count * part // count for part in range(count + 1)]
+        return [(a, b - a) for a, b in itertools.pairwise(edges) if b > a]
 
     def __call__(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
         """Run the kernel over all blocks; ``inputs`` leave out the first block."""

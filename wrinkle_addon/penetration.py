@@ -261,19 +261,28 @@ class PushOut:
         """Height of every vertex over the body when it was cleared last [m], rough far out, shape [vertex_count]."""
         return self._height.numpy()
 
-    def clear(self, body: NDArray[np.floating] | wp.array, positions: wp.array, metre: float = 1.0) -> None:
+    def move(self, body: NDArray[np.floating] | wp.array) -> None:
+        """Put the body here, shape [body_vertex_count, 3]; the garment need not be known yet.
+
+        Raises:
+            ValueError: If it has another number of vertices than at rest.
+        """
+        self._body.move(body)
+        self._limbs.move(body)
+
+    def clear(self, body: NDArray[np.floating] | wp.array | None, positions: wp.array, metre: float = 1.0) -> None:
         """Push a garment out of the body, in place.
 
         Args:
-            body: The posed body, shape [body_vertex_count, 3].
+            body: The posed body, shape [body_vertex_count, 3]; None if it was moved there already.
             positions: The garment, array of vec3 on this device in the same space, shape [vertex_count].
             metre: Length of a metre in that space.
 
         Raises:
             ValueError: If the body has another number of vertices than at rest.
         """
-        self._body.move(body)
-        self._limbs.move(body)
+        if body is not None:
+            self.move(body)
         self._clearance.metre = metre
         changed = {"positions": positions, "clearance": self._clearance, "metre": metre}
         for stage in self._stages:

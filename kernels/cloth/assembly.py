@@ -208,14 +208,18 @@ def assemble_blocks(
     contribution_start: wp.array[wp.int32],
     contributions: wp.array[wp.int32],
     block_bending: wp.array[wp.float64],
+    mirrored: wp.array[wp.vec2i],
     # outputs
     blocks: wp.array2d[wp.mat33],
 ):
     """Membrane and bending Hessian on the one-ring [N/m]; contributions are triangle * 9 + row * 3 + column.
 
-    ``tangent`` and ``held`` come from :func:`~.triangles.linearise_triangles`.
+    ``tangent`` and ``held`` come from :func:`~.triangles.linearise_triangles`; ``mirrored`` are the blocks on and above
+    the diagonal, each with the one that mirrors it.
     """
-    world, entry = wp.tid()
+    world, pair = wp.tid()
+    entry = mirrored[pair][0]
+    mirror = mirrored[pair][1]
     total = block_bending[entry] * wp.identity(n=3, dtype=wp.float64)
     for k in range(contribution_start[entry], contribution_start[entry + 1]):
         code = contributions[k]
@@ -225,7 +229,10 @@ def assemble_blocks(
         total += garment.rest_area[triangle] * membrane_hessian(
             deformation[world, triangle], held[world, triangle], tangent[world, triangle], gi, gj
         )
-    blocks[world, entry] = wp.mat33(total)
+    block = wp.mat33(total)
+    blocks[world, entry] = block
+    if mirror != entry:
+        blocks[world, mirror] = wp.transpose(block)
 
 
 @wp.kernel

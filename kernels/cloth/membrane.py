@@ -145,17 +145,16 @@ def membrane_hessian(f: mat32d, stress: wp.vec3d, tangent: wp.vec4d, gi: wp.vec2
     """
     u = wp.vec3d(f[0, 0], f[1, 0], f[2, 0])
     v = wp.vec3d(f[0, 1], f[1, 1], f[2, 1])
-    # Derivatives of (Exx, Eyy, 2 Exy) by the two corners.
-    xi = u * gi[0]
-    yi = v * gi[1]
-    si = u * gi[1] + v * gi[0]
-    xj = u * gj[0]
-    yj = v * gj[1]
-    sj = u * gj[1] + v * gj[0]
+    # Derivatives of (Exx, Eyy, 2 Exy) by a corner: (g0 u, g1 v, g1 u + g0 v). So in the basis of u and v:
+    shear_v = tangent[3] * gi[0]
+    shear_u = tangent[3] * gi[1]
+    m00 = tangent[0] * gi[0] * gj[0] + shear_u * gj[1]
+    m01 = tangent[1] * gi[0] * gj[1] + shear_u * gj[0]
+    m10 = tangent[1] * gi[1] * gj[0] + shear_v * gj[1]
+    m11 = tangent[2] * gi[1] * gj[1] + shear_v * gj[0]
     geometric = gi[0] * (stress[0] * gj[0] + stress[2] * gj[1]) + gi[1] * (stress[2] * gj[0] + stress[1] * gj[1])
-    return (
-        wp.outer(xi, tangent[0] * xj + tangent[1] * yj)
-        + wp.outer(yi, tangent[1] * xj + tangent[2] * yj)
-        + wp.outer(si, tangent[3] * sj)
-        + geometric * wp.identity(n=3, dtype=wp.float64)
-    )
+    h = wp.outer(u, m00 * u + m01 * v) + wp.outer(v, m10 * u + m11 * v)
+    h[0, 0] += geometric
+    h[1, 1] += geometric
+    h[2, 2] += geometric
+    return h

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from wrinkle_synthesis.wrinkle_addon import storage
 from wrinkle_synthesis.wrinkle_addon.coarse_bake import CoarseHistory, SceneFrame, bake_history
 from wrinkle_synthesis.wrinkle_addon.coarse_cache import STATE_EVERY, CoarseCache, CoarseSpec, NotSimulated
 from wrinkle_synthesis.wrinkle_addon.storage import StorageError
@@ -35,7 +37,7 @@ class Springs:
     """A stand-in for the simulation: points that swing after the skinned layers, with all the memory that has."""
 
     def __init__(self):
-        self.starts = self.steps = 0
+        self.starts = self.steps = self.looks = 0
 
     def start(self, body_positions, carried):
         self.starts += 1
@@ -48,6 +50,9 @@ class Springs:
         self._velocities += dt * 50.0 * (np.stack(carried) - self._positions)
         self._positions += dt * self._velocities
         return Report(False)
+
+    def look_ahead(self):
+        self.looks += 1
 
     @property
     def positions(self):
@@ -147,6 +152,39 @@ def test_a_simulation_that_was_stopped_goes_on_to_the_same_bits(folder, tmp_path
     assert content(folder) == content(tmp_path / "whole")
     assert springs.starts == 0 and springs.steps <= 60 - stopped + STATE_EVERY
     assert [event.kept for event in found] == [True] * stopped + [False] * (60 - stopped)
+
+
+def test_a_frame_is_there_at_once_and_its_file_when_it_is_written(folder, monkeypatch):
+    may_write = threading.Event()
+    write_arrays = storage.write_arrays
+
+    def slow(*arguments):
+        may_write.wait()
+        write_arrays(*arguments)
+
+    cache = CoarseCache.begin(folder, SPEC, 1)
+    monkeypatch.setattr(storage, "write_arrays", slow)
+    CoarseHistory(Springs(), cache, State).advance(scene(1))
+    assert set(cache.positions(1)) == {"vest", "coat"} and CoarseCache.open(folder).last == 0
+    may_write.set()
+    cache.flush()
+    assert CoarseCache.open(folder).last == 1
+
+
+def test_a_frame_that_cannot_be_written_is_not_there(folder, monkeypatch):
+    def refuse(*arguments):
+        raise StorageError("The disk is full.")
+
+    history = CoarseHistory(Springs(), CoarseCache.begin(folder, SPEC, 1), State)
+    history.advance(scene(1))
+    history.cache.flush()
+    monkeypatch.setattr(storage, "write_arrays", refuse)
+    history.advance(scene(2))
+    with pytest.raises(StorageError, match="full"):
+        history.advance(scene(3))
+    assert history.cache.last == 1 and not history.follows(3)
+    with pytest.raises(NotSimulated):
+        history.cache.read(2)
 
 
 def test_a_longer_range_goes_on_where_the_last_one_ended(folder):

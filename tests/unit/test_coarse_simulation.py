@@ -1,5 +1,7 @@
 """The coarse dynamic simulation: its physics, beside the fine solver, on a moving body, in layers; what it refuses."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 from cloth_shapes import floor, raised, sheet, sphere, tube, turned
@@ -340,6 +342,26 @@ def test_a_run_repeats_to_the_bit_and_goes_on_from_its_state(device):
     resumed.restore(state)
     swing(resumed, arm, rest, 5, first=5)
     np.testing.assert_array_equal(resumed.positions[0], first.positions[0])
+
+
+def test_looking_ahead_changes_no_bit(device):
+    plain, arm, rest = sleeve(device)
+    eager, _, _ = sleeve(device)
+    for simulation in (plain, eager):
+        simulation.start(arm, [rest])
+    eager.look_ahead()
+    for first in range(3):
+        for simulation in (plain, eager):
+            swing(simulation, arm, rest, 1, first=first)
+        eager.look_ahead()
+        np.testing.assert_array_equal(eager.positions[0], plain.positions[0])
+    # What was begun counts neither for a state nor for where that is gone on from.
+    for array in fields(state := plain.state()):
+        np.testing.assert_array_equal(getattr(eager.state(), array.name), getattr(state, array.name))
+    eager.restore(state)
+    for simulation in (plain, eager):
+        swing(simulation, arm, rest, 3, first=3)
+    np.testing.assert_array_equal(eager.positions[0], plain.positions[0])
 
 
 def test_a_state_shows_what_it_was_taken_of():

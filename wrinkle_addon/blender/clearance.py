@@ -121,7 +121,8 @@ class BodyClearance:
             points = np.empty(3 * len(shown.data.vertices), np.float32)
             shown.data.attributes["position"].data.foreach_get("vector", points)
             to_garment = garment.evaluated_get(depsgraph).matrix_world.inverted_safe() @ shown.matrix_world
-            return apply(np.array(to_garment, np.float64), points.reshape(-1, 3).astype(np.float64)).astype(np.float32)
+            place = np.array(to_garment, np.float32)
+            return points.reshape(-1, 3) @ place[:3, :3].T + place[:3, 3]
         how = "is hidden" if shown is None else "is shown with another mesh than its own"
         if not self._worn.whole:
             raise ValueError(f"The body '{body.name}' {how}.")
@@ -148,10 +149,16 @@ class BodyClearance:
             raise ValueError(self._bound)
         return take(self._bound, depsgraph)
 
-    def clear(self, body: NDArray[np.float32], positions: wp.array, placement: FloatArray) -> None:
+    def move(self, body: NDArray[np.float32]) -> None:
+        """Be ready for what :meth:`read` gave; on any thread."""
+        assert self._push is not None
+        self._push.move(body)
+
+    def clear(self, body: NDArray[np.float32] | None, positions: wp.array, placement: FloatArray) -> None:
         """Push a garment out of what :meth:`read` gave, in place.
 
         Args:
+            body: What it gave; None after :meth:`move`.
             positions: The garment in its object space, array of vec3, shape [vertex_count].
             placement: Matrix from rig space [m] to that space, shape [4, 4].
         """

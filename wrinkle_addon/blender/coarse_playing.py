@@ -54,6 +54,8 @@ class PlayedCache:
         self._cache: CoarseCache | None = None
         self._history: CoarseHistory | None = None
         self._failed = ""
+        # The frame that was simulated in this evaluation of the scene.
+        self._advanced: int | None = None
         # The frame rate for which the cache was compared with the scene; None if it must be again.
         self._checked: float | None = None
 
@@ -88,7 +90,12 @@ class PlayedCache:
         time = scene.frame_current_final
         if time != int(time):
             return self._cache.positions(time)[garment.name]
-        found = self._cache.read_of(int(time), read_motion(garment, depsgraph))
+        frame = int(time)
+        if not self.holds(frame):
+            self._cache.look()
+        # What was simulated a moment ago has the motion that it was simulated with; what is not there, has none.
+        known = frame == self._advanced or not self.holds(frame)
+        found = self._cache.read(frame) if known else self._cache.read_of(frame, read_motion(garment, depsgraph))
         self.restarted = found.report["reason"]
         return found.positions[garment.name]
 
@@ -113,6 +120,13 @@ class PlayedCache:
                 self._wish(garments)
         elif self._history.follows(frame):
             self._history.advance(read_scene(garments, depsgraph))
+            self._advanced = frame
+
+    def look_ahead(self) -> None:
+        """After a frame that was simulated: what the next one begins with, on another thread."""
+        if self._advanced is not None and self._history is not None:
+            self._history.simulation.look_ahead()
+        self._advanced = None
 
     def _begin(self, garments: Garments, scene: bpy.types.Scene) -> None:
         """See to a cache of what the scene shows, from its first frame on."""
@@ -140,6 +154,12 @@ class PlayedCache:
             self._history = build_history(garments, self._cache, choose_device(device_name()))
         except ValueError as error:
             self._failed = str(error)
+
+
+def look_ahead() -> None:
+    """Once a frame is played and nobody waits: see :meth:`PlayedCache.look_ahead`."""
+    for played in _played.values():
+        played.look_ahead()
 
 
 def has_wishes() -> bool:

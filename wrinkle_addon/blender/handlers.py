@@ -56,6 +56,7 @@ def play_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None) ->
     if depsgraph is None:
         return
     errors = playback.play_scene(scene, depsgraph)
+    coarse_playing.look_ahead()
     if errors and bpy.app.background:
         for error in errors:
             print(f"wrinkle: {error}", file=sys.stderr)

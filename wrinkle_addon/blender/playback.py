@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -113,6 +113,18 @@ class Turn:
     inputs: tuple[object, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """What another thread does while a garment's coarse layer is simulated.
+
+    Attributes:
+        body: The body that the garment is to be kept clear of, in its object space; None for none.
+    """
+
+    work: Ahead
+    body: NDArray[np.float32] | None
+
+
 class Player:
     """One garment's database, bound to a device, and all arrays that playing needs.
 
@@ -146,7 +158,7 @@ class Player:
         self._positions = wp.zeros(self._evaluator.vertex_count, dtype=wp.vec3, device=device)
         self._clearance = BodyClearance(Worn.of_database(self.database), str(device))
         self._inner_clearance = InnerClearance(self.database, str(device))
-        self._synthesis: Ahead | None = None
+        self._begun: Begun | None = None
         on_cpu = self._positions.device.is_cpu
         self._host = self._positions if on_cpu else wp.zeros_like(self._positions, device="cpu", pinned=True)
         self._host_view: NDArray[np.float32] = self._host.numpy()
@@ -218,7 +230,15 @@ class Player:
         evaluated = garment.evaluated_get(depsgraph)
         placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
         arguments = pose, self._positions, evaluated.wrinkles.strengths(), placement
-        self._synthesis = Ahead(partial(layer.wrinkles.synthesise, *arguments))
+        wanted = self._at_full_detail(garment, depsgraph) and garment.wrinkles.clear_of_body
+        body = self._clearance.read(garment, depsgraph, pose, placement, wanted=wanted)
+
+        def act() -> None:
+            layer.wrinkles.synthesise(*arguments)
+            if body is not None:
+                self._clearance.move(body)
+
+        self._begun = Begun(Ahead(act), body)
 
     def read(
         self, garment: bpy.types.Object, pose: Pose, depsgraph: bpy.types.Depsgraph, *, only_changes: bool = False
@@ -237,17 +257,23 @@ class Player:
         Raises:
             NotReady: If something that it needs is still being made, in a window.
         """
+        begun, self._begun = self._begun, None
         try:
             layer = self.coarse.read(garment, depsgraph, self._evaluator, live=not only_changes)
         finally:
-            self._finish_synthesis()
+            # The arrays that it reads and writes are free again.
+            if begun is not None:
+                begun.work.finish()
         evaluated = garment.evaluated_get(depsgraph)
         placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
         strengths = evaluated.wrinkles.strengths()
         frame = depsgraph.scene.frame_current_final
-        full = garment.wrinkles.detail(depsgraph) == FULL_DETAIL
-        wanted = full and garment.wrinkles.clear_of_body
-        body = self._clearance.read(garment, depsgraph, pose, placement, wanted=wanted)
+        full = self._at_full_detail(garment, depsgraph)
+        if begun is not None:
+            body = begun.body
+        else:
+            wanted = full and garment.wrinkles.clear_of_body
+            body = self._clearance.read(garment, depsgraph, pose, placement, wanted=wanted)
         coarse = None if layer is None else (layer.positions.tobytes(), layer.follow)
         inner = self._inner_clearance.read(garment, depsgraph, _inner_garment(garment, depsgraph)) if full else None
         around = tuple(None if points is None else points.tobytes() for points in (body, inner))
@@ -259,7 +285,7 @@ class Player:
         def compute() -> None:
             (layer or self._evaluator).evaluate(pose, self._positions, strengths, placement)
             if body is not None:
-                self._clearance.clear(body, self._positions, placement)
+                self._clearance.clear(None if begun is not None else body, self._positions, placement)
             if inner is not None:
                 self._inner_clearance.clear(inner, self._positions, placement)
 
@@ -274,11 +300,8 @@ class Player:
         let_rest(garment, garment.evaluated_get(depsgraph))
         self._inputs = turn.inputs
 
-    def _finish_synthesis(self) -> None:
-        """Wait for what was begun; the arrays that it reads and writes are free again."""
-        begun, self._synthesis = self._synthesis, None
-        if begun is not None:
-            begun.finish()
+    def _at_full_detail(self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+        return garment.wrinkles.detail(depsgraph) == FULL_DETAIL
 
     def _placement(self, garment: bpy.types.Object, armature: bpy.types.Object) -> FloatArray:
         """Matrix from rig space [m] to the garment's object space, shape [4, 4]; both objects evaluated."""
