@@ -270,10 +270,12 @@ def main() -> None:
     stopwatch.watch(SYNTHESIS, OffsetEvaluator, "evaluate_apart")
     stopwatch.watch(TRANSFER, AlignedWrinkles, "evaluate")
     stopwatch.watch(CLEARANCE, clearance.BodyClearance, "read")
+    stopwatch.watch(CLEARANCE, clearance.BodyClearance, "move")
     stopwatch.watch(CLEARANCE, clearance.BodyClearance, "clear")
     stopwatch.watch(COARSE, CoarseSimulation, "step")
+    stopwatch.watch(COARSE, CoarseSimulation, "_find")
     stopwatch.watch(CACHE, CoarseCache, "read")
-    stopwatch.watch(CACHE, CoarseCache, "write")
+    stopwatch.watch(CACHE, CoarseCache, "_store")
     names = ["man"] if quick else list(SEQUENCES)
     columns = {name: measure(SEQUENCES[name], stopwatch, quick=quick) for name in names}
     for name, column in columns.items():

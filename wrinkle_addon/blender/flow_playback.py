@@ -17,19 +17,20 @@ from ..flow_file import Flow, read_flow
 from ..folder_verbs import choose_device
 from ..garment import Garment
 from ..rig import FloatArray, Pose
-from . import playback
 from .armature import PoseReader, rig_scale
 from .character import read_mesh
 from .clearance import BodyClearance, Worn
 from .flow_recording import mesh_topology
+from .inner_clearance import InnerGarment
 from .matching import RECORDING, glance_at, match_rig
+from .player import Player, Turn
 from .preferences import device_name
 from .write import make_writable
 
 
 @dataclass(frozen=True)
 class FlowFile:
-    """What a flow's player is made from; see :class:`.playback.Source`."""
+    """What a flow's player is made from; see :class:`.player.Source`."""
 
     path: str
     device: str
@@ -71,7 +72,7 @@ class BoundFlow:
         return FlowPlayer(garment, self)
 
 
-class FlowPlayer(playback.Player):
+class FlowPlayer(Player):
     """One garment's flow, bound to a device, and all arrays that replaying needs; its note tells of the last frame.
 
     Raises:
@@ -141,9 +142,15 @@ class FlowPlayer(playback.Player):
         """A flow waits for nothing."""
 
     def read(
-        self, garment: bpy.types.Object, pose: Pose, depsgraph: bpy.types.Depsgraph, *, only_changes: bool = False
-    ) -> playback.Turn | None:
-        """Read what decides the garment in a pose and in the scene's frame; see :meth:`.playback.Player.read`."""
+        self,
+        garment: bpy.types.Object,
+        pose: Pose,
+        depsgraph: bpy.types.Depsgraph,
+        worn_over: InnerGarment | None,
+        *,
+        only_changes: bool = False,
+    ) -> Turn | None:
+        """Read what decides the garment in a pose and in the scene's frame; see :meth:`.player.Player.read`."""
         evaluated = garment.evaluated_get(depsgraph)
         placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
         strength = evaluated.wrinkles.strength
@@ -163,7 +170,7 @@ class FlowPlayer(playback.Player):
             if body is not None:
                 self._clearance.clear(body, self._positions, placement)
 
-        return playback.Turn(compute, frame, inputs)
+        return Turn(compute, frame, inputs)
 
 
 def timing_of(garment: bpy.types.Object) -> Timing:

@@ -13,6 +13,7 @@ from ...evaluation_record import evaluation_path, read_evaluation
 from .. import playback
 from ..file_process import EVALUATE, process_of
 from ..flow_playback import FlowPlayer
+from ..player import Player
 from .layout import GarmentPanel, draw_process, garment_of, say, say_numbers, translated
 
 
@@ -36,7 +37,7 @@ class WRINKLE_PT_report(GarmentPanel, bpy.types.Panel):
             draw_process(layout, process)
 
 
-def _draw_samples(layout: bpy.types.UILayout, player: playback.Player) -> None:
+def _draw_samples(layout: bpy.types.UILayout, player: Player) -> None:
     layout.label(text=player.summary, icon="MATCLOTH", translate=False)
     residuals = [report["residual"] for report in player.reports.values() if "residual" in report]
     restless = {name: report for name, report in player.reports.items() if not report.get("converged", True)}
@@ -50,7 +51,7 @@ def _draw_samples(layout: bpy.types.UILayout, player: playback.Player) -> None:
     layout.operator("wrinkle.plot_samples", icon="IMAGE_DATA")
 
 
-def _draw_fidelity(context: bpy.types.Context, layout: bpy.types.UILayout, player: playback.Player) -> None:
+def _draw_fidelity(context: bpy.types.Context, layout: bpy.types.UILayout, player: Player) -> None:
     database = player.database
     try:
         result = _evaluation(database.folder, database.header.key)
