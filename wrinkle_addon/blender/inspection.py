@@ -261,12 +261,10 @@ def _look_at(folder: Path, job: BakeJob) -> tuple[WrinkleDatabase | None, str]:
         database = WrinkleDatabase.open(folder, check_hashes=True)
     except ValueError as error:
         return None, str(error)
-    if database.header.key != job.key:
-        return (
-            database,
-            f"The database '{folder}' was baked with other settings, weights or body; it plays as it was baked.",
-        )
-    return database, f"The database '{folder}' is complete and up to date."
+    if database.header.key == job.key:
+        return database, f"The database '{folder}' is complete and up to date."
+    note = f"The database '{folder}' was baked with other settings, weights or body; it plays as it was baked."
+    return database, note
 
 
 # --- taking the artist there --------------------------------------------------------------------------------------
