@@ -72,8 +72,9 @@ def _first_frames(root: Path) -> None:
 
 
 def _first_day(root: Path) -> None:
-    """From the first start on, whose kernels are not compiled yet, in a window."""
+    """From the first start on, whose kernels are not compiled yet, in a window; nothing was baked yet either."""
     _forget_kernels(root)
+    shutil.rmtree(root / INSIDE.strip("/") / "shirt.wrinkles", ignore_errors=True)
     try:
         _step(root, "the window is clicked through", _window("figure.blend", "drive.py", f"{INSIDE}/shots"))
     finally:
