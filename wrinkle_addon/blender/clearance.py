@@ -122,6 +122,8 @@ class BodyClearance:
             shown.data.attributes["position"].data.foreach_get("vector", points)
             to_garment = garment.evaluated_get(depsgraph).matrix_world.inverted_safe() @ shown.matrix_world
             place = np.array(to_garment, np.float32)
+            if np.array_equal(place, np.eye(4)):
+                return points.reshape(-1, 3)
             return points.reshape(-1, 3) @ place[:3, :3].T + place[:3, 3]
         how = "is hidden" if shown is None else "is shown with another mesh than its own"
         if not self._worn.whole:

@@ -209,6 +209,8 @@ def read_points(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Points:
 
 def _in_world(evaluated: bpy.types.Object, points: NDArray, depsgraph: bpy.types.Depsgraph) -> Points:
     matrix = np.array(evaluated.matrix_world, np.float64) * _units(depsgraph)
+    if np.array_equal(matrix, np.eye(4)):
+        return points.astype(np.float32)
     return (points @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
 
 
