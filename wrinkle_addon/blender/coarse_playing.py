@@ -135,6 +135,8 @@ class PlayedCache:
         if self._cache is not None and self._cache.spec == spec and self._cache.first == scene.frame_start:
             return
         same = self._history is not None and self._history.cache.spec == spec
+        if self._cache is not None:
+            self._cache.flush()  # Else its last frame might be written into the emptied folder.
         self._cache = CoarseCache.begin(self._folder, spec, scene.frame_start)
         if self._history is not None and same:
             self._history.turn_to(self._cache)
