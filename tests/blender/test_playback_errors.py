@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 import pytest
 from small_character import TOLERANCE, Arm, Bumps, build_arm, empty_scene, evaluated_positions
-from wrinkle_synthesis.wrinkle_addon.blender import playback, preferences
+from wrinkle_synthesis.wrinkle_addon.blender import playback, player, preferences
 from wrinkle_synthesis.wrinkle_addon.blender.handlers import RENDER_FAILED
 from wrinkle_synthesis.wrinkle_addon.blender.node_group import find_modifier
 
@@ -114,7 +114,7 @@ def test_no_database_and_no_armature_are_named(arm: Arm) -> None:
 
 
 def test_an_unknown_device_is_named(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(playback, "device_name", lambda: "cuda:77")
+    monkeypatch.setattr(player, "device_name", lambda: "cuda:77")
     assert "no device 'cuda:77'" in error_of(arm)
     assert preferences.device_name() == "auto"
 
