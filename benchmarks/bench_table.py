@@ -222,6 +222,7 @@ def measure(sequence: Sequence, stopwatch: Stopwatch, *, quick: bool) -> dict[st
         garments = open_sequence(sequence, frame_count, Path(name), quick=quick)
         layers = [len(one.wrinkles.coarse.data.vertices) for one in garments if one.wrinkles.coarse is not None]
         play(garments, frame_count, stopwatch)
+        coarse_playing.flush()
         kept = CoarseCache.open(Path(name) / "coarse")
         assert kept.last == frame_count, f"The simulation came to frame {kept.last}."
     spent = stopwatch.milliseconds()

@@ -330,9 +330,7 @@ def test_a_hidden_body_is_simulated_as_if_it_were_shown(wrinkle, file: Path) -> 
 
 def written(folder: Path) -> CoarseCache:
     """What lies on the disk once the last frame, which another thread writes, does."""
-    played = coarse_playing.played_cache(folder)
-    if played._cache is not None:
-        played._cache.flush()
+    coarse_playing.flush()
     return CoarseCache.open(folder)
 
 

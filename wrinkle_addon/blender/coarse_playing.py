@@ -45,13 +45,14 @@ class PlayedCache:
     """One cache folder as this session knows it; see :func:`played_cache`.
 
     Attributes:
+        cache: As it was opened or begun; None if it was neither.
         restarted: Why the simulation began anew in the frame that was read last, as a sentence; empty if it did not.
     """
 
     def __init__(self, folder: Path):
         self.restarted = ""
         self._folder = folder
-        self._cache: CoarseCache | None = None
+        self.cache: CoarseCache | None = None
         self._history: CoarseHistory | None = None
         self._failed = ""
         # The frame that was simulated in this evaluation of the scene.
@@ -63,16 +64,16 @@ class PlayedCache:
         """Compare the cache with the scene again: something of it changed."""
         self._checked, self._failed = None, ""
         if self._history is None:
-            self._cache = None
+            self.cache = None
 
     def renew(self) -> None:
         """Read the cache anew: somebody else has filled it."""
-        self._cache = self._history = None
+        self.cache = self._history = None
         self.doubt()
 
     def holds(self, frame: float) -> bool:
         """Whether a frame lies in the cache, as far as is known."""
-        return self._cache is not None and self._cache.first <= frame <= self._cache.last
+        return self.cache is not None and self.cache.first <= frame <= self.cache.last
 
     def positions(self, garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Points:
         """Where a garment's coarse layer lies in the depsgraph's frame, in world axes [m].
@@ -82,20 +83,20 @@ class PlayedCache:
         """
         scene = depsgraph.scene
         garments = simulated_garments(garment, scene)
-        if self._cache is None:
-            self._cache, self._checked = CoarseCache.open(self._folder), None
+        if self.cache is None:
+            self.cache, self._checked = CoarseCache.open(self._folder), None
         if self._checked != frame_rate(scene):
-            self._cache.check(read_spec(garments, scene))
+            self.cache.check(read_spec(garments, scene))
             self._checked = frame_rate(scene)
         time = scene.frame_current_final
         if time != int(time):
-            return self._cache.positions(time)[garment.name]
+            return self.cache.positions(time)[garment.name]
         frame = int(time)
         if not self.holds(frame):
-            self._cache.look()
+            self.cache.look()
         # What was simulated a moment ago has the motion that it was simulated with; what is not there, has none.
         known = frame == self._advanced or not self.holds(frame)
-        found = self._cache.read(frame) if known else self._cache.read_of(frame, read_motion(garment, depsgraph))
+        found = self.cache.read(frame) if known else self.cache.read_of(frame, read_motion(garment, depsgraph))
         self.restarted = found.report["reason"]
         return found.positions[garment.name]
 
@@ -113,10 +114,10 @@ class PlayedCache:
         garments = simulated_garments(garment, scene)
         if frame == scene.frame_start:
             self._begin(garments, scene)
-        if self._cache is None or self._checked is None or scene.frame_subframe:
+        if self.cache is None or self._checked is None or scene.frame_subframe:
             return
         if self._history is None:
-            if frame in (self._cache.first, self._cache.last + 1):
+            if frame in (self.cache.first, self.cache.last + 1):
                 self._wish(garments)
         elif self._history.follows(frame):
             self._history.advance(read_scene(garments, depsgraph))
@@ -132,14 +133,14 @@ class PlayedCache:
         """See to a cache of what the scene shows, from its first frame on."""
         spec = read_spec(garments, scene)
         self._checked = frame_rate(scene)
-        if self._cache is not None and self._cache.spec == spec and self._cache.first == scene.frame_start:
+        if self.cache is not None and self.cache.spec == spec and self.cache.first == scene.frame_start:
             return
         same = self._history is not None and self._history.cache.spec == spec
-        if self._cache is not None:
-            self._cache.flush()  # Else its last frame might be written into the emptied folder.
-        self._cache = CoarseCache.begin(self._folder, spec, scene.frame_start)
+        if self.cache is not None:
+            self.cache.flush()  # Else its last frame might be written into the emptied folder.
+        self.cache = CoarseCache.begin(self._folder, spec, scene.frame_start)
         if self._history is not None and same:
-            self._history.turn_to(self._cache)
+            self._history.turn_to(self.cache)
         else:
             self._history = None
 
@@ -151,9 +152,9 @@ class PlayedCache:
 
     def make_ready(self, garments: Garments) -> None:
         """Build the simulation that goes on where the cache ends; not while Blender evaluates."""
-        assert self._cache is not None
+        assert self.cache is not None
         try:
-            self._history = build_history(garments, self._cache, choose_device(device_name()))
+            self._history = build_history(garments, self.cache, choose_device(device_name()))
         except ValueError as error:
             self._failed = str(error)
 
@@ -162,6 +163,17 @@ def look_ahead() -> None:
     """Once a frame is played and nobody waits: see :meth:`PlayedCache.look_ahead`."""
     for played in _played.values():
         played.look_ahead()
+
+
+def flush() -> None:
+    """Come back when every frame that was simulated is in its file.
+
+    Raises:
+        StorageError: If one cannot be written; then it is not there.
+    """
+    for played in _played.values():
+        if played.cache is not None:
+            played.cache.flush()
 
 
 def has_wishes() -> bool:

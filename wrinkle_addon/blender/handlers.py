@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 import bpy
 from bpy.app.handlers import persistent
 
+from ..storage import StorageError
 from . import coarse_playing, correction_undo, playback
 from .made_behind import look, tag_garments
 from .node_group import NO_FRAME, find_modifier, get_input, set_input
@@ -157,6 +158,9 @@ def doubt_file(scene: bpy.types.Scene, unused: object = None) -> None:
 def hide_played(path: str, unused: object = None) -> None:
     """Save garments as skinned, so that a file opened without the add-on never shows a frozen pose."""
     remap_paths(path)
+    # Whoever opens the file finds all that was simulated; a frame that cannot be written is missed when it is played.
+    with suppress(StorageError):
+        coarse_playing.flush()
     _saved_frames.clear()
     for garment, modifier in _modifiers():
         wake_skinning(garment)
