@@ -14,7 +14,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from .coarse_cache import STATE_EVERY, CoarseCache, CoarseFrame, Motion, NotSimulated, Points, moved
-from .storage import StorageError
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +100,6 @@ class CoarseHistory:
             StorageError: If the frame before it cannot be written.
         """
         report = self.step(scene)
-        self._flush()
         offset = scene.frame - self.cache.first
         state = self.simulation.state() if keep_state or offset % STATE_EVERY == 0 else None
         arrays = {one.name: np.asarray(getattr(state, one.name)) for one in fields(state)} if state is not None else {}
@@ -109,13 +107,6 @@ class CoarseHistory:
         self.cache.cut(scene.frame)
         self.cache.write(scene.frame, CoarseFrame(positions, scene.motion, arrays, report))
         return report
-
-    def _flush(self) -> None:
-        try:
-            self.cache.flush()
-        except StorageError:
-            self.frame = None  # What was simulated after the cache's last frame is lost.
-            raise
 
     def step(self, scene: SceneFrame) -> Mapping[str, Any]:
         """Simulate a frame without a word to the cache."""
@@ -143,7 +134,8 @@ class CoarseHistory:
         self.frame = frame
 
     def _stands_before(self, frame: int) -> bool:
-        return self.frame == frame - 1
+        # What was simulated is lost if it could not be written.
+        return self.frame == frame - 1 <= self.cache.last
 
     def _has_state(self, frame: int) -> bool:
         cache = self.cache
