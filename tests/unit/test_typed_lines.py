@@ -73,8 +73,8 @@ def check_target(words: Sequence[str]) -> None:
         program, *arguments = shlex.split(recipe)
         if program.endswith("/wrinkle"):
             build_parser().parse_args(arguments)
-        for file in re.findall(r"[\w*/]+\.py", recipe):
-            assert list(ROOT.glob(file)), file
+        for file in (word.rstrip(";") for word in arguments):
+            assert not file.endswith(".py") or list(ROOT.glob(file)), file
 
 
 def check_module(words: Sequence[str]) -> None:
