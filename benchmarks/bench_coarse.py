@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import warp as wp
 from measure import Report, milliseconds, read_options, times
 from outfit import SHELL, Outfit, SkinnedBody, dress
 from wrinkle_synthesis.wrinkle_addon.body_proxy import make_body_proxy
@@ -25,8 +24,9 @@ from wrinkle_synthesis.wrinkle_addon.cloth import ClothSimulation, SolverSetting
 from wrinkle_synthesis.wrinkle_addon.cloth_contact import ContactSettings
 from wrinkle_synthesis.wrinkle_addon.coarse_layers import CoarseLayer, CoarseSettings, model_of
 from wrinkle_synthesis.wrinkle_addon.coarse_mesh import make_coarse_mesh
-from wrinkle_synthesis.wrinkle_addon.coarse_simulation import ITERATIONS, TOLERANCE, CoarseSimulation
+from wrinkle_synthesis.wrinkle_addon.coarse_simulation import ITERATIONS, MODULES, TOLERANCE, CoarseSimulation
 from wrinkle_synthesis.wrinkle_addon.garment import Garment, bind_to_surface, skin_garment
+from wrinkle_synthesis.wrinkle_addon.launch_graph import LaunchGraph
 from wrinkle_synthesis.wrinkle_addon.wearer import worn_limbs
 
 FRAME = 1.0 / 30.0
@@ -89,37 +89,30 @@ def play(simulation: CoarseSimulation, body: np.ndarray, skin: np.ndarray) -> tu
 def measure_stages(simulation: CoarseSimulation, body: np.ndarray, skin: np.ndarray) -> dict[str, float]:
     """Where a frame's time goes [ms]: parts of a step recorded and replayed alone, times the steps of a frame."""
     contact, system, motion = simulation._contact, simulation._system, simulation._motion
-    positions, steps = motion.positions, simulation._steps
+    positions, steps, clock = motion.positions, simulation._steps, simulation._clock[0]
     stages: dict[str, tuple[int, Callable[[], Any]]] = {
         "search of the body": (1, lambda: contact.find(positions, simulation._skin)),
         "body's normals, input": (1, lambda: (simulation._given(body[-1], [skin[-1]]), contact.move_body(body[-1]))),
     }
     recorded = {
-        "moving the body": lambda: contact.launch_move(simulation._clock),
+        "moving the body": lambda: contact.launch_move(clock),
         "contact": lambda: (
-            contact.launch_freeze(motion, simulation._clock),
-            contact.launch_expel(motion, simulation._clock),
+            contact.launch_freeze(motion, clock),
+            contact.launch_expel(motion, clock),
             contact.launch_follow(positions),
         ),
-        "forces": simulation._record_gradient,
+        "forces": simulation._launch_gradient,
         "matrix": lambda: (
             system.assemble(positions, simulation._inverse_dt2, simulation._kept),
             system.precondition(positions),
         ),
+        "conjugate gradients": lambda: (
+            system.solution.zero_(),
+            system.launch_solve(simulation._gradient, simulation._moving, TOLERANCE, ITERATIONS),
+        ),
     }
     for name, act in recorded.items():
-        with wp.ScopedCapture(device=simulation.device, force_module_load=False) as capture:
-            act()
-        stages[name] = steps, lambda graph=capture.graph: wp.capture_launch(graph)
-    with wp.ScopedCapture(device=simulation.device, force_module_load=False) as capture:
-        system.launch_begin(simulation._gradient, simulation._moving)
-
-    def solve(beginning: wp.Graph = capture.graph) -> None:
-        system.solution.zero_()
-        wp.capture_launch(beginning)
-        system.iterate(TOLERANCE, ITERATIONS)
-
-    stages["conjugate gradients"] = steps, solve
+        stages[name] = steps, LaunchGraph(act, MODULES, simulation.device)
     spent = {}
     state = simulation.state()
     for name, (count, act) in stages.items():

@@ -19,86 +19,100 @@ Columns = wp.types.vector(length=int(COLUMNS), dtype=wp.float32)
 
 
 @wp.kernel
-def place_on_coarse(
+def downsample_meshes(
     first: wp.int32,
-    coarse: wp.array[wp.vec3],
-    corners: wp.array2d[wp.int32],
-    places: wp.array[wp.vec3],
-    # outputs
-    carried: wp.array[wp.vec3],
-):
-    """Where each fine vertex lies if it keeps its place on its coarse triangle [m].
-
-    A place is two coordinates along the triangle's edges from its first corner, and the height over it [m].
-    Vertices from ``first`` on; each thread of a split launch has its own part, here and below.
-    """
-    u = first + wp.tid()
-    a = coarse[corners[u, 0]]
-    b = coarse[corners[u, 1]] - a
-    c = coarse[corners[u, 2]] - a
-    place = places[u]
-    carried[u] = a + place[0] * b + place[1] * c + place[2] * wp.normalize(wp.cross(b, c))
-
-
-@wp.kernel
-def downsample_offsets(
-    first: wp.int32,
-    coarse: wp.array[wp.vec3],
-    carried: wp.array[wp.vec3],
     meshes: wp.array2d[wp.vec3],
     start: wp.array[wp.int32],
     members: wp.array[wp.int32],
     weights: wp.array[wp.float32],
-    as_published: wp.bool,
-    strength: wp.float32,
     # outputs
-    offsets: wp.array2d[mat_lanes],
+    means: wp.array2d[mat_lanes],
 ):
-    """Offset of every coarse vertex from the fine vertices around it [m], a row of mesh % LANES of mesh / LANES (eq 5).
+    """Mean of the fine vertices around every coarse one [m], a row of mesh % LANES of mesh / LANES (eq 5).
 
-    ``weights`` are a_uv over their sum; a coarse vertex without fine ones has no offset, and nothing takes it up. As
-    published the offset is from the fine vertices to v itself, which is not zero where the two meshes coincide; here
-    it is to where each of them lies on the coarse mesh. ``strength`` is the share of the way that is gone.
+    ``weights`` are a_uv over their sum; a coarse vertex without fine ones has no mean, and nothing takes it up.
+    Vertices from ``first`` on; each thread of a split launch has its own part, here and below.
     """
     v = first + wp.tid()
-    for side in range(offsets.shape[0]):
+    for side in range(means.shape[0]):
         found = mat_lanes()
         for k in range(start[v], start[v + 1]):
-            u = members[k]
-            target = carried[u]
-            if as_published:
-                target = coarse[v]
             for lane in range(LANES):
                 if LANES * side + lane < meshes.shape[0]:
-                    found[lane] += weights[k] * (target - meshes[LANES * side + lane, u])
-        offsets[side, v] = strength * found
+                    found[lane] += weights[k] * meshes[LANES * side + lane, members[k]]
+        means[side, v] = found
 
 
 @wp.kernel
-def upsample_offsets(
+def detach_meshes(
     first: wp.int32,
-    offsets: wp.array2d[mat_lanes],
+    means: wp.array2d[mat_lanes],
     start: wp.array[wp.int32],
     columns: wp.array[wp.int32],
     weights: wp.array[wp.float32],
+    strength: wp.float32,
     # in and out
     meshes: wp.array2d[wp.vec3],
 ):
-    """Move every fine vertex by the offsets of the coarse vertices around it [m] (eq 6).
+    """Take the coarse vertices' means away from every fine vertex [m], ``strength`` of them (eq 6's second half).
 
     ``weights`` are a_uv after Laplacian smoothing over the fine mesh.
     """
     u = first + wp.tid()
-    for side in range(offsets.shape[0]):
-        moved = mat_lanes()
-        for lane in range(LANES):
-            if LANES * side + lane < meshes.shape[0]:
-                moved[lane] = meshes[LANES * side + lane, u]
+    for side in range(means.shape[0]):
+        taken = mat_lanes()
         for k in range(start[u], start[u + 1]):
-            moved += weights[k] * offsets[side, columns[k]]
+            taken += weights[k] * means[side, columns[k]]
         for lane in range(LANES):
             if LANES * side + lane < meshes.shape[0]:
-                meshes[LANES * side + lane, u] = moved[lane]
+                meshes[LANES * side + lane, u] -= strength * taken[lane]
+
+
+@wp.kernel
+def place_means(
+    first: wp.int32,
+    coarse: wp.array[wp.vec3],
+    start: wp.array[wp.int32],
+    columns: wp.array[wp.int32],
+    weights: wp.array[wp.float32],
+    height_start: wp.array[wp.int32],
+    triangles: wp.array[wp.vec3i],
+    heights: wp.array[wp.float32],
+    # outputs
+    means: wp.array[wp.vec3],
+):
+    """Where the means of :func:`downsample_meshes` belong as the coarse layer lies [m].
+
+    Sums over the coarse vertices around, by weights, and over the normals of the triangles around, by heights [m].
+    """
+    v = first + wp.tid()
+    mean = wp.vec3()
+    for k in range(start[v], start[v + 1]):
+        mean += weights[k] * coarse[columns[k]]
+    for k in range(height_start[v], height_start[v + 1]):
+        corners = triangles[k]
+        a = coarse[corners[0]]
+        mean += heights[k] * wp.normalize(wp.cross(coarse[corners[1]] - a, coarse[corners[2]] - a))
+    means[v] = mean
+
+
+@wp.kernel
+def attach_mesh(
+    first: wp.int32,
+    means: wp.array[wp.vec3],
+    start: wp.array[wp.int32],
+    columns: wp.array[wp.int32],
+    weights: wp.array[wp.float32],
+    strength: wp.float32,
+    # in and out
+    positions: wp.array[wp.vec3],
+):
+    """Add to every fine vertex the means as they belong [m] (eq 6's first half); as :func:`detach_meshes`."""
+    u = first + wp.tid()
+    added = wp.vec3()
+    for k in range(start[u], start[u + 1]):
+        added += weights[k] * means[columns[k]]
+    positions[u] += strength * added
 
 
 @wp.kernel

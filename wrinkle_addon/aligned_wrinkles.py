@@ -49,7 +49,12 @@ class AlignedWrinkles:
         self._synthesised: _Synthesised | None = None
 
     def synthesise(
-        self, pose: Pose, out: wp.array, strengths: Mapping[str, float], placement: FloatArray | None = None
+        self,
+        pose: Pose,
+        out: wp.array,
+        strengths: Mapping[str, float],
+        placement: FloatArray | None = None,
+        follow: float = 1.0,
     ) -> None:
         """What :meth:`evaluate` begins with, which needs no coarse layer; with the same arguments it goes on from here.
 
@@ -57,9 +62,12 @@ class AlignedWrinkles:
         """
         if len(self._meshes):
             self._evaluator.evaluate_apart(pose, self.groups, self._meshes, strengths, placement)
+            self._transfer.detach(self._meshes, follow)
+            self._transfer.join(self._meshes, out)
         else:
             self._evaluator.evaluate(pose, out, strengths, placement)
-        self._synthesised = _Synthesised(pose, out, dict(strengths), _bytes_of(placement))
+            self._transfer.detach(out.reshape((1, len(out))), follow)
+        self._synthesised = _Synthesised(pose, out, dict(strengths), _bytes_of(placement), follow)
 
     def evaluate(
         self,
@@ -80,14 +88,10 @@ class AlignedWrinkles:
             placement: Affine matrix from rig space [m] to the space asked for, shape [4, 4]; rig space if left out.
             follow: How much of the coarse layer's motion the garment takes on, from 0 to 1.
         """
-        if self._synthesised is None or not self._synthesised.is_of(pose, out, strengths, placement):
-            self.synthesise(pose, out, strengths, placement)
+        if self._synthesised is None or not self._synthesised.is_of(pose, out, strengths, placement, follow):
+            self.synthesise(pose, out, strengths, placement, follow)
         self._synthesised = None
-        if len(self._meshes):
-            self._transfer.align_all(coarse, self._meshes, follow)
-            self._transfer.join(self._meshes, out)
-        else:
-            self._transfer.align(coarse, out, follow)
+        self._transfer.attach(coarse, out, follow)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +102,17 @@ class _Synthesised:
     out: wp.array
     strengths: dict[str, float]
     placement: bytes
+    follow: float
 
-    def is_of(self, pose: Pose, out: wp.array, strengths: Mapping[str, float], placement: FloatArray | None) -> bool:
+    def is_of(
+        self, pose: Pose, out: wp.array, strengths: Mapping[str, float], placement: FloatArray | None, follow: float
+    ) -> bool:
         return (
             self.pose is pose
             and self.out is out
             and self.strengths == dict(strengths)
             and self.placement == _bytes_of(placement)
+            and self.follow == follow
         )
 
 

@@ -9,7 +9,7 @@
 The energies are those of the fine solver (:mod:`.cloth`), from the same kernels, and the time steps are its BDF2. What
 makes it quick (W43, W49): a few steps a frame with one linearisation each, which begins so near to the step's end that
 it keeps their order; no collision of a garment with itself (W44); the body's closest triangles are looked for once a
-frame and then followed (W45); and all launches of a step are recorded once and replayed. Garments worn over each other
+frame and then followed (W45); and all launches of a frame are recorded once and replayed. Garments worn over each other
 are one system (W46).
 
 A vertex whose strength is 0 rides on the skinned garment, through the body if need be. One whose strength lies between
@@ -18,7 +18,7 @@ A vertex whose strength is 0 rides on the skinned garment, through the body if n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -45,8 +45,9 @@ from .coarse_contact import CoarseContact, arrive, make_path
 from .coarse_layers import CoarseLayer, CoarseReport, CoarseSettings, CoarseState, model_of, shares_of
 from .divergence import first_lost
 from .elasticity import Elasticity, upload_garment
+from .launch_graph import LaunchGraph
 from .linear_solver import BlockSystem
-from .threads import THREADS, Ahead, run_side_by_side
+from .threads import THREADS, Ahead
 from .time_integration import step_coefficients
 
 __all__ = ["CoarseLayer", "CoarseReport", "CoarseSettings", "CoarseSimulation", "CoarseState"]
@@ -121,7 +122,8 @@ class CoarseSimulation:
             self.model, self._garment, self._elasticity, self._contact.frozen, 1, corrected=False
         )
         self._allocate()
-        self._graphs: list[wp.Graph] = []
+        self._step = LaunchGraph(partial(self._launch_step, 0), MODULES, self.device)
+        self._frame = LaunchGraph(self._launch_frame, MODULES, self.device)
         self._search: Ahead | None = None
         self._last_step: float | None = None
         self.set_gravity([0.0, 0.0, -STANDARD_GRAVITY])
@@ -241,7 +243,8 @@ class CoarseSimulation:
             before = self._motion.positions.numpy().copy()
             self._find()
             self._contact.take_found()
-            self._launch_step([SETTLE_SPAN, -1.0, 0.0, SETTLE_SPAN, 1.0, 1.0])
+            self._set_clock([[SETTLE_SPAN, -1.0, 0.0, SETTLE_SPAN, 1.0, 1.0]])
+            self._step()
             self._rest()
             if np.linalg.norm(self._motion.positions.numpy() - before, axis=2).max() < SETTLED:
                 break
@@ -255,16 +258,20 @@ class CoarseSimulation:
         """The steps of a frame of ``dt`` [s]."""
         search, self._search = self._search or Ahead(self._find, kept=True), None
         search.finish()
-        self._contact.take_found()
         length = dt / self._steps
         self._elasticity.set_damping_rate(1.0 / length)
+        clocks = []
         for number in range(self._steps):
             c = step_coefficients(length, self._last_step)
             self._last_step = length
             shares = [number / self._steps, (number + 1) / self._steps]
-            self._launch_step([c.span, c.now, c.before, length, *shares])
-        self._show()
-        self._arrive()
+            clocks.append([c.span, c.now, c.before, length, *shares])
+        self._set_clock(clocks)
+        self._frame()
+
+    def _set_clock(self, clocks: list[list[float]]) -> None:
+        """The clock of each coming step, as :mod:`..kernels.cloth.frame_steps` reads it."""
+        self._clock[: len(clocks)].assign(np.array(clocks))
 
     def _find(self) -> None:
         self._contact.find(self._motion.positions, self._skin)
@@ -285,63 +292,35 @@ class CoarseSimulation:
         self._contact.arrive()
         arrive(self._skin)
 
-    def _launch_step(self, clock: list[float]) -> None:
-        """One time step; ``clock`` as :mod:`..kernels.cloth.frame_steps` reads it."""
-        self._clock.assign(np.array(clock))
-        if not self._graphs:
-            for module in MODULES:  # Nothing may compile while recording.
-                wp.load_module(module, device=self.device)
-            stages = self._record_flight, self._record_contact, self._record_elasticity, self._record_system
-            self._graphs = [self._recorded(stage) for stage in (*stages, self._record_end)]
-        flight, contact_, elasticity, system, end = self._graphs
-        wp.capture_launch(flight)
-        # On a GPU the two take turns.
-        run_side_by_side([partial(wp.capture_launch, graph) for graph in (contact_, elasticity)], self._threads)
-        wp.capture_launch(system)
-        self._system.iterate(TOLERANCE, ITERATIONS)
-        wp.capture_launch(end)
+    def _launch_frame(self) -> None:
+        """All that is launched for a frame once its clock is set."""
+        self._contact.take_found()
+        for number in range(self._steps):
+            self._launch_step(number)
+        self._show()
+        self._arrive()
 
-    def _recorded(self, launches: Callable[[], None]) -> wp.Graph:
-        with wp.ScopedCapture(device=self.device, force_module_load=False) as capture:
-            launches()
-        return capture.graph
-
-    def _record_flight(self) -> None:
-        """Where a step is linearised."""
-        motion = self._motion
-        self._elasticity.remember_strain(motion.positions)
-        driven = [motion, self._garment.pin_stiffness, self._inverse_dt2, self._system.solution]
-        self._launch(frame_steps.begin_step, [self._skin, self._clock, *driven])
-
-    def _record_contact(self) -> None:
-        """What touches there."""
-        self._contact.launch_move(self._clock)
-        self._contact.launch_freeze(self._motion, self._clock)
-
-    def _record_elasticity(self) -> None:
-        """How the fabric resists there; it does not know what touches."""
-        self._elasticity.deform(self._motion.positions)
-        self._system.assemble_elasticity(self._motion.positions, self._kept)
-
-    def _record_system(self) -> None:
-        """A step's linear system, of both."""
-        motion, positions = self._motion, self._motion.positions
-        self._record_gradient()
-        self._system.add_contact(positions, self._inverse_dt2)
-        self._system.precondition(positions)
-        self._system.hold_vertices(motion.held)
-        self._system.launch_begin(self._gradient, self._moving)
-
-    def _record_end(self) -> None:
-        """A step from its linear system on."""
-        motion, contact_ = self._motion, self._contact
+    def _launch_step(self, number: int) -> None:
+        """A time step of the frame: linearised, solved and made."""
+        clock, motion, contact_, system = self._clock[number], self._motion, self._contact, self._system
         positions = motion.positions
-        self._launch(frame_steps.move_vertices, [self._system.solution, wp.float64(LONGEST_STEP), positions])
-        self._launch(frame_steps.end_step, [self._clock, contact_.touching, contact_.planes, motion])
-        contact_.launch_expel(motion, self._clock)
+        self._elasticity.remember_strain(positions)
+        driven = [motion, self._garment.pin_stiffness, self._inverse_dt2, system.solution]
+        self._launch(frame_steps.begin_step, [self._skin, clock, *driven])
+        contact_.launch_move(clock)
+        contact_.launch_freeze(motion, clock)
+        self._elasticity.deform(positions)
+        self._launch_gradient()
+        system.assemble(positions, self._inverse_dt2, self._kept)
+        system.precondition(positions)
+        system.hold_vertices(motion.held)
+        system.launch_solve(self._gradient, self._moving, TOLERANCE, ITERATIONS)
+        self._launch(frame_steps.move_vertices, [system.solution, wp.float64(LONGEST_STEP), positions])
+        self._launch(frame_steps.end_step, [clock, contact_.touching, contact_.planes, motion])
+        contact_.launch_expel(motion, clock)
         contact_.launch_follow(positions)
 
-    def _record_gradient(self) -> None:
+    def _launch_gradient(self) -> None:
         motion, elasticity = self._motion, self._elasticity
         inputs = [
             motion.positions,
@@ -417,7 +396,7 @@ class CoarseSimulation:
         self._strength = wp.array(strength, dtype=wp.float64, device=self.device)
         self._skin = make_path(count, self.device)
         self._shown = zeros(count, wp.vec3)
-        self._clock = zeros(frame_steps.CLOCK_SIZE, wp.float64)
+        self._clock = zeros((self._steps, frame_steps.CLOCK_SIZE), wp.float64)
         self._gradient = zeros((1, count), wp.vec3d)
         self._gravity, self._inverse_dt2 = zeros(1, wp.vec3d), zeros(1, wp.float64)
         self._kept, self._moving = zeros(1, wp.float64), wp.ones(1, dtype=wp.int32, device=self.device)

@@ -7,7 +7,8 @@
 ``coarse`` is where the coarse layer lies in this frame (a simulation, a cache, any mesh that moves), ``positions`` the
 synthesised garment, both in one space [m] on one device. The synthesised garment is averaged down onto the coarse mesh
 (eq 5), and the offset that is missing to the coarse layer is spread back over it (eq 6), smoothed over the garment so
-that the coarse mesh's edges do not show (W83).
+that the coarse mesh's edges do not show (W83). All that is linear in the garment. So it falls into two halves: to take
+the garment's own means away, before anything is known of the coarse layer, and to add the means that belong there.
 
 Four things differ from the paper's page. (a) Eq 5 compares a weighted mean of fine vertices with the coarse vertex v
 itself. Where the two meshes coincide that is zero only on a plane away from borders: a sleeve is blown up and a hem
@@ -23,8 +24,9 @@ Joints that are close to each other leave no room to blend their meshes in (W86)
 
     groups = transfer_groups(names, close_joints(regions, rest, faces))
     evaluator.evaluate_apart(pose, groups, meshes)      # mesh 0 is the skinned garment, of no joint
-    transfer.align_all(coarse, meshes)
+    transfer.detach(meshes)
     transfer.join(meshes, positions)        # offsets over skinning; ``blend`` is the paper's weighted mean
+    transfer.attach(coarse, positions)
 """
 
 from __future__ import annotations
@@ -41,13 +43,14 @@ from ..kernels.transfer import (
     COLUMNS,
     LANES,
     Columns,
+    attach_mesh,
     blend_meshes,
-    downsample_offsets,
+    detach_meshes,
+    downsample_meshes,
     join_meshes,
     mat_lanes,
-    place_on_coarse,
+    place_means,
     smooth_columns,
-    upsample_offsets,
 )
 from .cloth_model import FloatArray, IntArray
 from .correspondence import Correspondence
@@ -116,25 +119,19 @@ class DetailTransfer:
         start, columns, weights = smoothed_weights(match, positions, faces, iterations)
         if follow is not None:
             weights = weights * np.asarray(follow, np.float32)[rows_of(start)]
-        self._corners = wp.array(match.corners, dtype=wp.int32, device=self.device)
-        self._places = wp.array(match.places, dtype=wp.vec3, device=self.device)
-        self._members = self._upload_rows(*match.members(as_published=self.settings.as_published))
-        self._rows = self._upload_rows(start, columns, weights)
-        self._coarse_count = match.coarse_count
-        self._carried = wp.zeros(match.fine_count, dtype=wp.vec3, device=self.device)
+        members = match.members(as_published=self.settings.as_published)
+        self._members, self._rows = self._upload_rows(*members), self._upload_rows(start, columns, weights)
+        self._fine_count, self._coarse_count = match.fine_count, match.coarse_count
         self._split = SplitLaunch(match.fine_count, self.device)
         self._split_coarse = SplitLaunch(match.fine_count, self.device, block_count=match.coarse_count)
+        self._detaching: tuple[int, list[RecordedLaunch]] = (0, [])
         self._joining: RecordedLaunch | None = None
-        self._sides, self._stages = 0, list[RecordedLaunch]()
+        self._attaching = self._record_attaching(mean_places(match, *members, as_published=self.settings.as_published))
 
-    def _upload_rows(self, start: IntArray, entries: IntArray, weights: NDArray[np.float32]) -> list[wp.array]:
-        kinds = (wp.int32, wp.int32, wp.float32)
+    def _upload_rows(self, start: IntArray, entries: IntArray, weights: NDArray[np.floating]) -> list[wp.array]:
+        kinds = (wp.int32, wp.vec3i if entries.ndim > 1 else wp.int32, wp.float32)
         arrays = zip((start, entries, weights), kinds, strict=True)
         return [wp.array(values, dtype=kind, device=self.device) for values, kind in arrays]
-
-    @property
-    def fine_count(self) -> int:
-        return self._carried.shape[0]
 
     def align(self, coarse: wp.array, positions: wp.array, strength: float = 1.0) -> None:
         """Bring a synthesised garment into line with the coarse layer, in place.
@@ -144,38 +141,97 @@ class DetailTransfer:
             positions: The garment [m], array of vec3, shape [fine_count].
             strength: How far it goes, from 0, not at all, to 1.
         """
-        self.align_all(coarse, positions.reshape((1, self.fine_count)), strength)
+        self.detach(positions.reshape((1, self._fine_count)), strength)
+        self.attach(coarse, positions, strength)
 
-    def align_all(self, coarse: wp.array, meshes: wp.array, strength: float = 1.0) -> None:
-        """:meth:`align` for several meshes of the garment, each by itself, shape [mesh_count, fine_count]."""
+    def detach(self, meshes: wp.array, strength: float = 1.0) -> None:
+        """Take the means on the coarse mesh away from meshes of the garment, each by itself, in place.
+
+        Args:
+            meshes: Array of vec3 [m], shape [mesh_count, fine_count].
+            strength: What share of them; as :meth:`attach` will be told.
+        """
         sides = -(-meshes.shape[0] // LANES)
-        if self._sides != sides:
-            self._sides, self._stages = sides, self._record(coarse, meshes, sides)
-        for stage in self._stages:
-            stage({"coarse": coarse, "meshes": meshes, "strength": strength})
+        if self._detaching[0] != sides:
+            self._detaching = sides, self._record_detaching(meshes, sides)
+        for stage in self._detaching[1]:
+            stage({"meshes": meshes, "strength": strength})
 
-    def _record(self, coarse: wp.array, meshes: wp.array, sides: int) -> list[RecordedLaunch]:
-        """What aligning launches, in turn."""
-        offsets = wp.zeros((sides, self._coarse_count), dtype=mat_lanes, device=self.device)
-        down = [coarse, self._carried, meshes, *self._members, self.settings.as_published, 1.0]
+    def attach(self, coarse: wp.array, positions: wp.array, strength: float = 1.0) -> None:
+        """Add to a detached garment the means that it has on the coarse layer, in place; arguments as :meth:`align`."""
+        for stage in self._attaching:
+            stage({"coarse": coarse, "positions": positions, "strength": strength})
+
+    def _record_detaching(self, meshes: wp.array, sides: int) -> list[RecordedLaunch]:
+        means = wp.zeros((sides, self._coarse_count), dtype=mat_lanes, device=self.device)
         return [
-            self._split.record(place_on_coarse, [coarse, self._corners, self._places], [self._carried]),
-            self._split_coarse.record(downsample_offsets, down, [offsets]),
-            self._split.record(upsample_offsets, [offsets, *self._rows], [meshes]),
+            self._split_coarse.record(downsample_meshes, [meshes, *self._members], [means]),
+            self._split.record(detach_meshes, [means, *self._rows, 1.0], [meshes]),
+        ]
+
+    def _record_attaching(self, places: MeanPlaces) -> list[RecordedLaunch]:
+        coarse, means = (wp.zeros(self._coarse_count, dtype=wp.vec3, device=self.device) for _ in range(2))
+        positions = wp.zeros(self._fine_count, dtype=wp.vec3, device=self.device)
+        rows = [*self._upload_rows(*places.corners), *self._upload_rows(*places.normals)]
+        return [
+            SplitLaunch(self._coarse_count, self.device).record(place_means, [coarse, *rows], [means]),
+            self._split.record(attach_mesh, [means, *self._rows, 1.0], [positions]),
         ]
 
     def blend(self, meshes: wp.array, shares: wp.array, positions: wp.array) -> None:
-        """Weighted mean of aligned meshes, shape [fine_count]; shares [mesh_count, fine_count] add up to 1 (W86)."""
-        wp.launch(blend_meshes, self.fine_count, [meshes, shares], [positions], device=self.device)
+        """Weighted mean of detached meshes, shape [fine_count]; shares [mesh_count, fine_count] add up to 1 (W86)."""
+        wp.launch(blend_meshes, self._fine_count, [meshes, shares], [positions], device=self.device)
 
     def join(self, meshes: wp.array, positions: wp.array) -> None:
-        """The first aligned mesh with the other meshes' offsets from it joined as joints' are, shape [fine_count]."""
+        """The first detached mesh with the other meshes' offsets from it joined as joints' are, shape [fine_count]."""
         if self._joining is None:
             self._joining = self._split.record(join_meshes, [meshes], [positions])
         self._joining({"meshes": meshes, "positions": positions})
 
 
 # --- the operator -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class MeanPlaces:
+    """Where the means of the fine vertices around each coarse vertex belong as the coarse layer lies.
+
+    Attributes:
+        corners: Sums over coarse vertices: where each row begins, [coarse_count + 1], vertices, and weights.
+        normals: Sums over unit normals of coarse triangles: where each row begins, [coarse_count + 1], corners of the
+            triangles, [entry_count, 3], and heights over them [m].
+    """
+
+    corners: tuple[IntArray, IntArray, FloatArray]
+    normals: tuple[IntArray, IntArray, FloatArray]
+
+
+def mean_places(
+    match: Correspondence, start: IntArray, members: IntArray, shares: NDArray[np.float32], *, as_published: bool
+) -> MeanPlaces:
+    """Places of the means of :meth:`Correspondence.members`; as published at the coarse vertices themselves."""
+    row, share = rows_of(start), shares.astype(np.float64)
+    if as_published:
+        full = np.flatnonzero(np.diff(start)).astype(np.int32)
+        start = row_starts(full, match.coarse_count)
+        none = np.zeros(match.coarse_count + 1, np.int32), np.zeros((0, 3), np.int32), np.zeros(0)
+        return MeanPlaces((start, full, np.ones(len(full))), none)
+    b, c, height = match.places[members].astype(np.float64).T
+    weights = (share[:, None] * np.stack([1.0 - b - c, b, c], 1)).ravel()
+    triangles, first, triangle = np.unique(match.faces, return_index=True, return_inverse=True)
+    corners = _summed(row.repeat(3), match.corners[members].ravel(), weights, match.coarse_count)
+    begin, beside, heights = _summed(row, triangle[members], share * height, match.coarse_count, len(triangles))
+    return MeanPlaces(corners, (begin, match.corners[first[beside]], heights))
+
+
+def _summed(
+    rows: IntArray, columns: IntArray, values: FloatArray, row_count: int, column_count: int | None = None
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """A sparse matrix from entries that may fall together: where its rows begin, columns, and values."""
+    width = row_count if column_count is None else column_count
+    keys, entry = np.unique(rows.astype(np.int64) * width + columns, return_inverse=True)
+    start = row_starts((keys // width).astype(np.int32), row_count)
+    return start, (keys % width).astype(np.int32), np.bincount(entry, values, len(keys)).astype(np.float64)
 
 
 def smoothed_weights(

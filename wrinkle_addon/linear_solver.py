@@ -12,6 +12,7 @@ from ..kernels.cloth import assembly, coarse, linear
 from .cloth_model import ClothModel
 from .coarse_correction import CoarseCorrection
 from .elasticity import Elasticity
+from .launch_graph import LaunchGraph
 from .topology import IntArray, rows_of
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ class BlockSystem:
         self._elasticity = elasticity
         self._contact = contact
         self._device = device
-        self._chunk = RECORDED_ITERATIONS["cuda" if device.is_cuda else "cpu"]
+        self._kind = "cuda" if device.is_cuda else "cpu"
 
         def upload(values: np.ndarray, dtype: type) -> wp.array:
             return wp.array(values, dtype=dtype, device=device)
@@ -91,11 +92,6 @@ class BlockSystem:
         ``kept`` is the share of its compressive stress that each world takes into account, shape [world_count]: 1 for
         the exact Hessian, which may be indefinite, 0 for a positive definite one.
         """
-        self.assemble_elasticity(positions, kept)
-        self.add_contact(positions, inverse_dt2)
-
-    def assemble_elasticity(self, positions: wp.array, kept: wp.array) -> None:
-        """The part of :meth:`assemble` that knows of no contact."""
         elasticity = self._elasticity
         elasticity.linearise(kept)
         wp.launch(
@@ -116,9 +112,6 @@ class BlockSystem:
         )
         for elements in elasticity.elements:
             elements.add_blocks(positions, kept, self.blocks)
-
-    def add_contact(self, positions: wp.array, inverse_dt2: wp.array) -> None:
-        """The rest of :meth:`assemble`: inertia, pins, contact and friction."""
         if len(self._contact.pair_strength) != len(self.pair_stiffness):
             self._hold_pairs()
         wp.launch(
@@ -160,30 +153,32 @@ class BlockSystem:
             gradient: Gradient [N], float64, shape [world_count, vertex_count].
             moving: Worlds with 0 keep still: their step is zero. Shape [world_count].
             tolerance: Share of the first preconditioned residual norm at which a world stops.
-            max_iterations: Bound on the iterations, rounded up to the recorded chunk.
+            max_iterations: Bound on the iterations.
         """
         outputs = [self.solution, self._residual, self._preconditioned]
         _launcher(self._device)(linear.start, self.shape, [gradient, self._inverse], outputs)
         self._begin(moving)
-        self.iterate(tolerance, max_iterations)
+        chunk = self._chunk(tolerance, max_iterations)
+        for _ in range(0, max_iterations, RECORDED_ITERATIONS[self._kind]):
+            chunk()
+            if not self._active.numpy().any():
+                break
         return self._iterations.numpy().copy()
 
-    def launch_begin(self, gradient: wp.array, moving: wp.array) -> None:
-        """What :meth:`solve` begins with, but from what :attr:`solution` holds; it can be recorded."""
+    def launch_solve(self, gradient: wp.array, moving: wp.array, tolerance: float, max_iterations: int) -> None:
+        """:meth:`solve` for one world, but from what :attr:`solution` holds; it can be recorded."""
         launch = _launcher(self._device)
         self._active.fill_(1)
         self.multiply(self.solution, self._product)
         found = [self._residual, self._preconditioned]
         launch(linear.start_from, self.shape, [gradient, self._inverse, self._product], found)
         self._begin(moving)
-
-    def iterate(self, tolerance: float, max_iterations: int) -> None:
-        """Go on until all worlds are done; arguments as in :meth:`solve`."""
-        graph = self._recording(tolerance)
-        for _ in range(0, max_iterations, self._chunk):
-            wp.capture_launch(graph)
-            if not self._active.numpy().any():
-                break
+        if self._device.is_cpu:
+            wp.capture_while(self._active, lambda: self._iterate(tolerance, max_iterations))
+        else:
+            # Iterations that are left over cost less than to ask whether to go on, which not every driver can.
+            for _ in range(max_iterations):
+                self._iterate(tolerance, max_iterations)
 
     def hold_vertices(self, held: wp.array) -> None:
         """Let vertices whose entry is not 0 keep still in the next solve; after :meth:`precondition`, one world."""
@@ -240,7 +235,7 @@ class BlockSystem:
         capacity = len(self._contact.pair_strength)
         self.pair_stiffness = wp.zeros(capacity, dtype=wp.float32, device=self._device)
         self._pair_force = wp.zeros(capacity, dtype=wp.vec3, device=self._device)
-        self._recorded: dict[float, wp.Graph] = {}  # Recordings keep the arrays that they were made with.
+        self._chunks: dict[tuple[float, int], LaunchGraph] = {}  # They keep the arrays that they were made with.
 
     def _begin(self, moving: wp.array) -> None:
         """First direction and scalars from the residual and its preconditioned self."""
@@ -259,18 +254,19 @@ class BlockSystem:
         launch = _launcher(self._device)
         launch(linear.partial_dot, (self.shape[0], PARTS), [a, b], [self._partial])
 
-    def _recording(self, tolerance: float) -> wp.Graph:
-        """A chunk of iterations, recorded once a tolerance: replaying costs a fraction of launching."""
-        if tolerance not in self._recorded:
-            for module in (linear, coarse):  # Nothing may compile while recording.
-                wp.load_module(module, device=self._device)
-            with wp.ScopedCapture(device=self._device, force_module_load=False) as capture:
-                for _ in range(self._chunk):
-                    self._iterate(tolerance)
-            self._recorded[tolerance] = capture.graph
-        return self._recorded[tolerance]
+    def _chunk(self, tolerance: float, max_iterations: int) -> LaunchGraph:
+        """Some iterations, recorded once a tolerance: replaying costs a fraction of launching."""
 
-    def _iterate(self, tolerance: float) -> None:
+        def iterations() -> None:
+            for _ in range(RECORDED_ITERATIONS[self._kind]):
+                self._iterate(tolerance, max_iterations)
+
+        key = tolerance, max_iterations
+        if key not in self._chunks:
+            self._chunks[key] = LaunchGraph(iterations, (linear, coarse), self._device)
+        return self._chunks[key]
+
+    def _iterate(self, tolerance: float, max_iterations: int) -> None:
         launch = _launcher(self._device)
         worlds = self.shape[0]
         self.multiply(self._direction, self._product)
@@ -292,6 +288,7 @@ class BlockSystem:
                 self._partial,
                 self.first_energy,
                 wp.float64(tolerance * tolerance),
+                max_iterations,
                 self._energy,
                 self._active,
                 self._iterations,

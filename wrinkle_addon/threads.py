@@ -8,25 +8,43 @@ the same whatever the number of threads. Nothing here may touch Blender's data.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from os import cpu_count
+from threading import Lock, current_thread, main_thread
 
 THREADS = cpu_count() or 1
 """Threads that work at a time, the calling one among them."""
 
 _others = ThreadPoolExecutor(max(THREADS - 1, 1), "wrinkle")
 _busy: list[None] = []
-"""An entry for each of the other threads that is at work."""
+"""An entry for each thread but the main one that is at work."""
+_beginning = Lock()
+
+
+@contextmanager
+def at_work() -> Iterator[None]:
+    """Whatever another thread than the main one launches, it launches within this."""
+    with _beginning:
+        _busy.append(None)
+    try:
+        yield
+    finally:
+        _busy.pop()
+
+
+@contextmanager
+def alone() -> Iterator[bool]:
+    """Whether this is the main thread and no other is at work; none begins to until the end."""
+    with _beginning:
+        yield not _busy and current_thread() is main_thread()
 
 
 def _on_another(act: Callable[[], object]) -> Future:
     def work() -> object:
-        _busy.append(None)
-        try:
+        with at_work():
             return act()
-        finally:
-            _busy.pop()
 
     return _others.submit(work)
 

@@ -193,6 +193,7 @@ def next_scalars(
     partial: wp.array2d[wp.float64],
     first_energy: wp.array[wp.float64],
     tolerance2: wp.float64,
+    max_iterations: wp.int32,
     # in and out
     energy: wp.array[wp.float64],
     active: wp.array[wp.int32],
@@ -200,7 +201,7 @@ def next_scalars(
     # outputs
     beta: wp.array[wp.float32],
 ):
-    """beta = new r z / old r z; done when r z fell below ``tolerance2`` times its first value."""
+    """beta = new r z / old r z; done when r z fell below ``tolerance2`` times its first value, or at the bound."""
     world = wp.tid()
     beta[world] = 0.0
     if active[world] == 0:
@@ -209,7 +210,7 @@ def next_scalars(
     beta[world] = wp.float32(value / energy[world])
     energy[world] = value
     iterations[world] = iterations[world] + 1
-    if value <= tolerance2 * first_energy[world]:
+    if value <= tolerance2 * first_energy[world] or iterations[world] >= max_iterations:
         active[world] = 0
 
 

@@ -68,7 +68,10 @@ def carried(match, coarse):
 def align(device, sleeve, moved, settings):
     positions, faces, _, match = sleeve
     meshes, coarse = (wp.array(points.astype(np.float32), dtype=wp.vec3, device=device) for points in moved)
-    DetailTransfer(match, positions, faces, settings, device=device).align_all(coarse, meshes)
+    transfer = DetailTransfer(match, positions, faces, settings, device=device)
+    transfer.detach(meshes)
+    for number in range(len(meshes)):
+        transfer.attach(coarse, meshes[number])
     return meshes.numpy()
 
 

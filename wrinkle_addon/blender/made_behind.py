@@ -11,6 +11,8 @@ from typing import TypeVar
 
 import bpy
 
+from ..threads import at_work
+
 Made = TypeVar("Made")
 
 TICK = 0.05
@@ -42,7 +44,12 @@ def begin(make: Callable[[], Made], depsgraph: bpy.types.Depsgraph) -> Future[Ma
 
 def submit(make: Callable[[], Made]) -> Future[Made]:
     """Make something behind the window; ``make`` must not touch Blender's data. One after the other."""
-    return _maker.submit(make)
+
+    def work() -> Made:
+        with at_work():
+            return make()
+
+    return _maker.submit(work)
 
 
 def take(made: Future[Made], depsgraph: bpy.types.Depsgraph) -> Made:

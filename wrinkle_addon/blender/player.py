@@ -221,12 +221,12 @@ class Player:
             return
         evaluated = garment.evaluated_get(depsgraph)
         placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
-        arguments = pose, self._positions, evaluated.wrinkles.strengths(), placement
+        strengths, follow = evaluated.wrinkles.strengths(), float(evaluated.wrinkles.follow)
         wanted = self._at_full_detail(garment, depsgraph) and garment.wrinkles.clear_of_body
         body = self._clearance.read(garment, depsgraph, pose, placement, wanted=wanted)
 
         def act() -> None:
-            layer.wrinkles.synthesise(*arguments)
+            layer.wrinkles.synthesise(pose, self._positions, strengths, placement, follow)
             if body is not None:
                 self._clearance.move(body)
 
