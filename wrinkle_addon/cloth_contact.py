@@ -13,7 +13,7 @@ from ..kernels.cloth import assembly, body_surface, contact, contact_planes, sel
 from .cloth_model import ClothModel, FloatArray, IntArray
 from .fabrics import Fabric
 from .facing import Facing
-from .topology import group, mesh_edges, triangles_beside
+from .topology import faces_around, mesh_edges, triangles_beside
 from .verlet_lists import VerletLists
 
 ENDLESS = 2**30
@@ -194,7 +194,7 @@ class ContactSearch:
         self._forget_walls()
         points, faces, normals = self._body.points, self._body.faces, self._body_face_normals
         self._launch(body_surface.face_normals, normals.shape, [points, faces], [normals])
-        inputs = [normals, self._body_corner_start, self._body_corners]
+        inputs = [normals, self._body_around_start, self._body_around]
         self._launch(body_surface.vertex_normals, points.shape, inputs, [self._body.normals])
 
     @property
@@ -364,9 +364,9 @@ class ContactSearch:
                 self._known[name] = wp.clone(values)
 
     def _make_body(self, faces: IntArray, positions: FloatArray) -> None:
-        start, corners = group(faces.ravel(), positions.shape[1])
-        self._body_corner_start = wp.array(start, dtype=wp.int32, device=self._device)
-        self._body_corners = wp.array(corners, dtype=wp.int32, device=self._device)
+        start, around = faces_around(faces, positions.shape[1])
+        self._body_around_start = wp.array(start, dtype=wp.int32, device=self._device)
+        self._body_around = wp.array(around, dtype=wp.int32, device=self._device)
         self._body_face_normals = wp.zeros((len(positions), len(faces)), dtype=wp.vec3, device=self._device)
         self._body, self._body_meshes = make_body(faces, positions, self._device)
 

@@ -24,7 +24,7 @@ from .cloth_contact import (
 from .cloth_model import ClothModel, FloatArray, IntArray
 from .facing import Facing
 from .threads import THREADS, run_side_by_side
-from .topology import group
+from .topology import faces_around
 
 NEAR = 0.02
 """How far above where contact begins a vertex that comes nearer still looks for its plane [m]."""
@@ -75,10 +75,10 @@ class CoarseContact:
         self._lift = self._upload(lift, wp.float64)
         self._faces = self._upload(model.faces, wp.int32)
         self._area, self._mass = self._upload(model.area, wp.float64), self._upload(model.mass, wp.float64)
-        self._corners = [self._upload(values, wp.int32) for values in (model.corner_start, model.corners)]
+        self._around = [self._upload(values, wp.int32) for values in faces_around(model.faces, model.vertex_count)]
         self.body, self._body_meshes = make_body(body_faces, body_positions[None], device, winding=False)
         body_count = len(body_positions)
-        self._body_corners = [self._upload(values, wp.int32) for values in group(body_faces.ravel(), body_count)]
+        self._body_around = [self._upload(values, wp.int32) for values in faces_around(body_faces, body_count)]
         self.points, self.normals = make_path(body_count, device), make_path(body_count, device)
         self._body_face_normals = self._zeros((1, len(body_faces)), wp.vec3)
         self._face_normals = self._zeros((1, len(model.faces)), wp.vec3)
@@ -109,7 +109,7 @@ class CoarseContact:
         """Let the body set out for the coming frame [m], shape [body_vertex_count, 3]."""
         self.points.coming.assign(positions)
         points, normals = (path.coming.reshape(self.body.points.shape) for path in (self.points, self.normals))
-        self._launch_normals(points, self.body.faces, self._body_corners, self._body_face_normals, normals)
+        self._launch_normals(points, self.body.faces, self._body_around, self._body_face_normals, normals)
 
     def arrive(self) -> None:
         """The body has come to the coming frame."""
@@ -127,7 +127,7 @@ class CoarseContact:
             wp.copy(here, path.last.reshape(here.shape))
         self._body_meshes[0].refit()
         last = skin.last.reshape((1, self._count))
-        self._launch_normals(last, self._faces, self._corners, self._face_normals, self._outward)
+        self._launch_normals(last, self._faces, self._around, self._face_normals, self._outward)
         searches = [partial(self._find_candidates, positions)]
         if self._pair_count:
             searches.append(partial(self._find_pairs, positions))
@@ -272,11 +272,11 @@ class CoarseContact:
         return wp.zeros(shape, dtype=dtype, device=self._device)
 
     def _launch_normals(
-        self, points: wp.array, faces: wp.array, corners: list[wp.array], of_faces: wp.array, normals: wp.array
+        self, points: wp.array, faces: wp.array, around: list[wp.array], of_faces: wp.array, normals: wp.array
     ) -> None:
         """Unit normals of a surface's vertices; ``of_faces`` is room for those of its triangles."""
         self._launch(body_surface.face_normals, of_faces.shape, [points, faces], [of_faces])
-        self._launch(body_surface.vertex_normals, points.shape, [of_faces, *corners], [normals])
+        self._launch(body_surface.vertex_normals, points.shape, [of_faces, *around], [normals])
 
     def _launch(self, kernel: Any, dim: Any, inputs: list, outputs: list) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._device)

@@ -20,6 +20,7 @@ HOST = (
         "elasticity",
         "fabrics",
         "facing",
+        "launch_graph",
         "linear_solver",
         "plate_bending",
         "time_integration",

@@ -26,14 +26,22 @@ def membrane_of(fabric: Fabric) -> membrane.Membrane:
     return material
 
 
+def shape_gradients(rest_inverse: FloatArray) -> FloatArray:
+    """Gradients of the linear shape functions of triangles' corners in material coordinates [1/m], [n, 3, 2]."""
+    return np.concatenate([-rest_inverse.sum(1, keepdims=True), rest_inverse], 1)
+
+
 def upload_garment(model: ClothModel, pin_stiffness: FloatArray, device: Any) -> assembly.Garment:
     """A model as kernels take it; ``pin_stiffness`` [N/m] holds each vertex to its pin target, shape [vertex_count]."""
     garment = assembly.Garment()
     garment.rest_inverse = wp.array(model.rest_inverse, dtype=wp.mat22d, device=device)
     for name in ("rest_area", "mass", "area", "bending_coefficients"):
         setattr(garment, name, wp.array(getattr(model, name), dtype=wp.float64, device=device))
-    for name in ("faces", "corner_start", "corners", "bending_start", "bending_columns"):
+    for name in ("faces", "corner_start", "bending_start", "bending_columns"):
         setattr(garment, name, wp.array(getattr(model, name), dtype=wp.int32, device=device))
+    garment.shape_gradients = wp.array(shape_gradients(model.rest_inverse), dtype=wp.vec2d, device=device)
+    triangle, corner = np.divmod(model.corners, 3)
+    garment.corners = wp.array(triangle << 2 | corner, dtype=wp.int32, device=device)
     garment.pin_stiffness = wp.array(pin_stiffness, dtype=wp.float64, device=device)
     return garment
 

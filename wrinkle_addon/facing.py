@@ -13,7 +13,7 @@ import warp as wp
 from ..kernels.cloth import facing
 from .cloth_model import ClothModel
 from .garment import vertex_neighbours
-from .topology import group, mesh_edges
+from .topology import faces_around, mesh_edges
 
 AROUND = 0.04
 """Distance over which the garment's normals are averaged [m], wider than its folds."""
@@ -33,7 +33,7 @@ class Facing:
 
     def __init__(self, model: ClothModel, faces: wp.array, world_count: int):
         self._faces, self._device = faces, faces.device
-        self._corners = [self._upload(part) for part in group(model.faces.ravel(), model.vertex_count)]
+        self._around = [self._upload(part) for part in faces_around(model.faces, model.vertex_count)]
         self._neighbours = [self._upload(part) for part in vertex_neighbours(model.faces, model.vertex_count)]
         ends = model.rest_positions[mesh_edges(model.faces)[0]]
         edge = float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean())
@@ -51,7 +51,7 @@ class Facing:
 
     def turn(self, positions: wp.array) -> None:
         """Where the garment at these positions (float64 [m]) has turned away from the skin, face as it lies."""
-        self._launch(facing.garment_normals, [positions, self._faces, *self._corners], [self._normals])
+        self._launch(facing.garment_normals, [positions, self._faces, *self._around], [self._normals])
         for _ in range(self._rounds):
             self._launch(facing.mean_normals, [self._normals, *self._neighbours], [self._mean])
             self._normals, self._mean = self._mean, self._normals

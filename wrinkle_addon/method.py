@@ -13,7 +13,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from .rig import Pose
-from .threads import THREADS, run_side_by_side
+from .threads import THREADS, help_is_free, run_side_by_side
 
 LEAST_SPLIT = 4_000
 """Vertices below which a launch on the CPU is not worth splitting over threads."""
@@ -120,7 +120,7 @@ class SplitLaunch:
     def record_parts(self, record: Callable[[int, int], wp.Launch]) -> RecordedLaunch:
         """A launch of which the caller records every part: its first block and its number of blocks."""
         parts = self._parts(PARTS_EACH * self._threads if self._threads > 1 else 1)
-        return RecordedLaunch(self._threads, [record(*part) for part in parts])
+        return RecordedLaunch(record(0, self._block_count), [record(*part) for part in parts], self._threads)
 
     def run(self, act: Callable[[int, int], object]) -> None:
         """Run an act on the first block and the number of blocks of every part."""
@@ -128,16 +128,43 @@ class SplitLaunch:
 
 
 class RecordedLaunch:
-    """A launch that is repeated, with other arguments now and then."""
+    """A launch that is repeated, with other arguments now and then: in parts if other threads are free to help.
 
-    def __init__(self, threads: int, launches: list[wp.Launch]):
+    Args:
+        whole: The launch.
+        parts: The same in parts.
+        threads: How many may run at a time.
+    """
+
+    def __init__(self, whole: wp.Launch, parts: list[wp.Launch], threads: int):
+        self._whole, self._parts = _Retold([whole]), _Retold(parts)
         self._threads = threads
-        self._launches = launches
-        self._names = {argument.label for argument in launches[0].kernel.adj.args}
 
     def __call__(self, changed: Mapping[str, object] = MappingProxyType({})) -> None:
         """Run it; ``changed`` are new values of arguments by name, of those that the kernel has."""
-        for name in changed.keys() & self._names:
+        for launches in (self._whole, self._parts):
+            launches.tell(changed)
+        if self._threads > 1 and help_is_free():
+            run_side_by_side(self._parts.ready(), self._threads)
+        else:
+            for launch in self._whole.ready():
+                launch()
+
+
+class _Retold:
+    """Launches of one kernel, told of new arguments once they run."""
+
+    def __init__(self, launches: list[wp.Launch]):
+        self._launches = launches
+        self._names = {argument.label for argument in launches[0].kernel.adj.args}
+        self._news: dict[str, object] = {}
+
+    def tell(self, changed: Mapping[str, object]) -> None:
+        self._news.update(changed)
+
+    def ready(self) -> list[Callable[[], None]]:
+        for name in self._news.keys() & self._names:
             for launch in self._launches:
-                launch.set_param_by_name(name, changed[name])
-        run_side_by_side([launch.launch for launch in self._launches], self._threads)
+                launch.set_param_by_name(name, self._news[name])
+        self._news.clear()
+        return [launch.launch for launch in self._launches]

@@ -34,7 +34,7 @@ from .garment import vertex_neighbours, vertex_normals
 from .limb_grids import GridShapes, PosedLimbs, make_grids
 from .method import BLOCK_SIZE, RecordedLaunch, SplitLaunch
 from .surface import FacingSurface
-from .topology import group, mesh_edges, triangles_beside
+from .topology import faces_around, mesh_edges, triangles_beside
 
 FACING_REACH = 0.05
 """Skin that looks the way the garment does is preferred at rest, if it is at most this much farther [m]."""
@@ -146,7 +146,7 @@ class PosedBody:
 
     def __init__(self, faces: IntArray, vertex_count: int, limb: IntArray, device: wp.Device):
         self.vertex_count = vertex_count
-        start, corners = group(faces.ravel(), vertex_count)
+        start, around = faces_around(faces, vertex_count)
         self._points = wp.zeros((1, vertex_count), dtype=wp.vec3, device=device)
         self._normals = wp.zeros((1, vertex_count), dtype=wp.vec3, device=device)
         self.struct = PosedSurface()
@@ -155,7 +155,7 @@ class PosedBody:
         triangles = np.stack([*faces.T, *triangles_beside(faces).T, limb, np.zeros(len(faces))], 1)
         self.struct.triangles = wp.array(triangles.astype(np.int32), dtype=vec_triangle, device=device)
 
-        start, corners, faces = (wp.array(values, dtype=wp.int32, device=device) for values in (start, corners, faces))
+        start, around, faces = (wp.array(values, dtype=wp.int32, device=device) for values in (start, around, faces))
         of_faces = wp.zeros((1, len(faces)), dtype=wp.vec3, device=device)
 
         def face_part(first: int, count: int) -> wp.Launch:
@@ -165,7 +165,7 @@ class PosedBody:
 
         def vertex_part(first: int, count: int) -> wp.Launch:
             part = slice(first, first + count)
-            inputs, outputs = [of_faces, start[first:], corners], [self._normals[:, part]]
+            inputs, outputs = [of_faces, start[first:], around], [self._normals[:, part]]
             return wp.launch(body_surface.vertex_normals, (1, count), inputs, outputs, device=device, record_cmd=True)
 
         self._find_normals = [

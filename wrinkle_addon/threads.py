@@ -41,6 +41,11 @@ def alone() -> Iterator[bool]:
         yield not _busy and current_thread() is main_thread()
 
 
+def help_is_free() -> bool:
+    """Whether another thread is idle."""
+    return len(_busy) < THREADS - 1
+
+
 def _on_another(act: Callable[[], object]) -> Future:
     def work() -> object:
         with at_work():
@@ -66,7 +71,7 @@ def run_side_by_side(acts: Sequence[Callable[[], object]], threads: int = THREAD
             act()
 
     # To ask a busy thread for help, and then do without, takes longer than many an act.
-    asked = min(threads, len(acts)) - 1 if len(_busy) < THREADS - 1 else 0
+    asked = min(threads, len(acts)) - 1 if help_is_free() else 0
     helpers = [_on_another(work) for _ in range(asked)]
     try:
         work()

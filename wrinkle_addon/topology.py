@@ -54,6 +54,12 @@ def group(owners: NDArray[np.integer], owner_count: int) -> tuple[IntArray, IntA
     return start.astype(np.int32), np.argsort(owners, kind="stable").astype(np.int32)
 
 
+def faces_around(faces: IntArray, vertex_count: int) -> tuple[IntArray, IntArray]:
+    """The triangles around every vertex: (start, triangles), as :func:`group` lists them."""
+    start, corners = group(faces.ravel(), vertex_count)
+    return start, corners // 3
+
+
 def distinct_pairs(first: NDArray[np.integer], second: NDArray[np.integer]) -> tuple[IntArray, IntArray]:
     """Every pair of numbers once, ascending, shape [distinct_count, 2], and which of them each pair is, [count]."""
     # As one number each: NumPy sorts those many times faster than rows.

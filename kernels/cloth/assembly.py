@@ -10,7 +10,7 @@ import warp as wp
 from .bending import bending_gradient
 from .contact import contact_curvature, contact_energy, contact_force
 from .friction import friction_energy, friction_hessian, friction_slope, tangential
-from .membrane import mat32d, membrane_gradient, membrane_hessian, shape_gradient
+from .membrane import mat32d, membrane_gradient, membrane_hessian
 from .self_contact import pair_separation
 from .touched_walls import PLANES
 
@@ -19,10 +19,15 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Garment:
-    """What never changes: topology and rest state. See ``wrinkle_addon/cloth_model.py``."""
+    """What never changes: topology and rest state. See ``wrinkle_addon/cloth_model.py``.
+
+    ``shape_gradients`` [1/m] are those of the linear shape functions of every triangle's corners in material
+    coordinates; ``corners`` lists triangle << 2 | corner around each vertex, since a division takes longer than a term.
+    """
 
     faces: wp.array2d[wp.int32]
     rest_inverse: wp.array[wp.mat22d]
+    shape_gradients: wp.array2d[wp.vec2d]
     rest_area: wp.array[wp.float64]
     mass: wp.array[wp.float64]
     area: wp.array[wp.float64]
@@ -120,8 +125,8 @@ def vertex_energies(
     owner = world * positions.shape[1] + vertex
     first = contact.incident_start[owner]
     for k in range(first, first + contact.incident_count[owner]):
-        if contact.incident[k] % 4 == 0:
-            total += pair_energy[contact.incident[k] // 4]
+        if contact.incident[k] & 3 == 0:
+            total += pair_energy[contact.incident[k] >> 2]
     energy[world, vertex] = total
 
 
@@ -150,8 +155,8 @@ def gather_pairs(force: wp.array[wp.vec3], contact: Contact, owner: wp.int32) ->
     total = wp.vec3()
     start = contact.incident_start[owner]
     for k in range(start, start + contact.incident_count[owner]):
-        pair = contact.incident[k] // 4
-        total += contact.pair_weights[pair][contact.incident[k] % 4] * force[pair]
+        pair = contact.incident[k] >> 2
+        total += contact.pair_weights[pair][contact.incident[k] & 3] * force[pair]
     return total
 
 
@@ -180,8 +185,8 @@ def gradient(
         vertex, world, positions, garment.bending_start, garment.bending_columns, garment.bending_coefficients
     )
     for k in range(garment.corner_start[vertex], garment.corner_start[vertex + 1]):
-        triangle = garment.corners[k] // 3
-        g = shape_gradient(garment.rest_inverse[triangle], garment.corners[k] % 3)
+        triangle = garment.corners[k] >> 2
+        g = garment.shape_gradients[triangle, garment.corners[k] & 3]
         total += garment.rest_area[triangle] * membrane_gradient(
             deformation[world, triangle], stress[world, triangle], g
         )
@@ -212,7 +217,7 @@ def assemble_blocks(
     # outputs
     blocks: wp.array2d[wp.mat33],
 ):
-    """Membrane and bending Hessian on the one-ring [N/m]; contributions are triangle * 9 + row * 3 + column.
+    """Membrane and bending Hessian on the one-ring [N/m]; contributions are triangle << 4 | row << 2 | column.
 
     ``tangent`` and ``held`` come from :func:`~.triangles.linearise_triangles`; ``mirrored`` are the blocks on and above
     the diagonal, each with the one that mirrors it.
@@ -223,9 +228,9 @@ def assemble_blocks(
     total = block_bending[entry] * wp.identity(n=3, dtype=wp.float64)
     for k in range(contribution_start[entry], contribution_start[entry + 1]):
         code = contributions[k]
-        triangle = code // 9
-        gi = shape_gradient(garment.rest_inverse[triangle], (code // 3) % 3)
-        gj = shape_gradient(garment.rest_inverse[triangle], code % 3)
+        triangle = code >> 4
+        gi = garment.shape_gradients[triangle, (code >> 2) & 3]
+        gj = garment.shape_gradients[triangle, code & 3]
         total += garment.rest_area[triangle] * membrane_hessian(
             deformation[world, triangle], held[world, triangle], tangent[world, triangle], gi, gj
         )
@@ -293,8 +298,8 @@ def precondition_diagonal(
     owner = world * inverse.shape[1] + vertex
     start = contact.incident_start[owner]
     for k in range(start, start + contact.incident_count[owner]):
-        pair = contact.incident[k] // 4
-        w = contact.pair_weights[pair][contact.incident[k] % 4]
+        pair = contact.incident[k] >> 2
+        w = contact.pair_weights[pair][contact.incident[k] & 3]
         n = contact.pair_normal[pair]
         total += (w * w * pair_stiffness[pair]) * wp.outer(n, n)
     diagonal[world, vertex] = total

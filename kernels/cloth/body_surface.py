@@ -98,16 +98,16 @@ def face_normals(
 @wp.kernel
 def vertex_normals(
     face_normals: wp.array2d[wp.vec3],
-    corner_start: wp.array[wp.int32],
-    corners: wp.array[wp.int32],
+    around_start: wp.array[wp.int32],
+    around: wp.array[wp.int32],
     # outputs
     normals: wp.array2d[wp.vec3],
 ):
-    """Area-weighted unit normals of the vertices; ``corners`` lists face * 3 + corner for each vertex."""
+    """Area-weighted unit normals of the vertices; ``around`` lists the faces around each vertex."""
     world, vertex = wp.tid()
     total = wp.vec3()
-    for k in range(corner_start[vertex], corner_start[vertex + 1]):
-        total += face_normals[world, corners[k] // 3]
+    for k in range(around_start[vertex], around_start[vertex + 1]):
+        total += face_normals[world, around[k]]
     normals[world, vertex] = wp.normalize(total)
 
 

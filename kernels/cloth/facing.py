@@ -9,16 +9,16 @@ wp.set_module_options({"enable_backward": False})
 def garment_normals(
     positions: wp.array2d[wp.vec3d],
     faces: wp.array2d[wp.int32],
-    corner_start: wp.array[wp.int32],
-    corners: wp.array[wp.int32],
+    around_start: wp.array[wp.int32],
+    around: wp.array[wp.int32],
     # outputs
     normals: wp.array2d[wp.vec3],
 ):
-    """Area-weighted vertex normals, not of unit length [m^2]; ``corners`` lists face * 3 + corner for each vertex."""
+    """Area-weighted vertex normals, not of unit length [m^2]; ``around`` lists the faces around each vertex."""
     world, vertex = wp.tid()
     total = wp.vec3d()
-    for k in range(corner_start[vertex], corner_start[vertex + 1]):
-        face = corners[k] // 3
+    for k in range(around_start[vertex], around_start[vertex + 1]):
+        face = around[k]
         a = positions[world, faces[face, 0]]
         total += wp.cross(positions[world, faces[face, 1]] - a, positions[world, faces[face, 2]] - a)
     normals[world, vertex] = wp.vec3(total)

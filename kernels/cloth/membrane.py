@@ -24,16 +24,6 @@ mat32d = wp.types.matrix(shape=(3, 2), dtype=wp.float64)
 
 
 @wp.func
-def shape_gradient(rest_inverse: wp.mat22d, corner: wp.int32) -> wp.vec2d:
-    """Gradient of a corner's linear shape function in material coordinates [1/m]."""
-    if corner == 1:
-        return wp.vec2d(rest_inverse[0, 0], rest_inverse[0, 1])
-    if corner == 2:
-        return wp.vec2d(rest_inverse[1, 0], rest_inverse[1, 1])
-    return wp.vec2d(-rest_inverse[0, 0] - rest_inverse[1, 0], -rest_inverse[0, 1] - rest_inverse[1, 1])
-
-
-@wp.func
 def deformation_gradient(x0: wp.vec3d, x1: wp.vec3d, x2: wp.vec3d, rest_inverse: wp.mat22d) -> mat32d:
     """F = D_s D_m^-1."""
     a = x1 - x0
