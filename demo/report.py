@@ -122,7 +122,8 @@ def _bake(report: Mapping[str, Any]) -> str:
             _table(["joint", "grid", "degrees from rest"], grids),
             "",
             f"- {info['samples']} shapes with the rest pose, {plan['simulated']} of them simulated"
-            + (", the others mirrored." if plan["symmetric"] else "."),
+            + (", the others mirrored." if plan["symmetric"] else ".")
+            + _left_out(info["left_out"]),
             f"- {info['sample_bytes'] / 1e6:.1f} MB of samples, {info['raw_bytes'] / 1e6:.1f} MB as raw positions "
             f"({info['times_smaller_than_raw']} times smaller); {info['bytes'] / 1e6:.1f} MB in all.",
             f"- Worst residual {info['worst_residual']} nodal weights; "
@@ -131,6 +132,10 @@ def _bake(report: Mapping[str, Any]) -> str:
             "pairs of triangles that intersect, not counting where the body cuts into itself.",
         ]
     )
+
+
+def _left_out(names: Sequence[str]) -> str:
+    return f" In {len(names)} limbs pass through each other; they have the wrinkles of another one." if names else ""
 
 
 def _range(angles: Sequence[float]) -> str:

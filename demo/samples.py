@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ..wrinkle_addon.plan import Sample, SamplePlan
+from ..wrinkle_addon.plan import Sample
 
 
-def choose_samples(plan: SamplePlan, count: int) -> list[Sample]:
-    """So many samples, evenly spread over a plan, its last one among them."""
-    samples = plan.samples
+def choose_samples(samples: Sequence[Sample], count: int) -> list[Sample]:
+    """So many samples, evenly spread over those of a plan, the last one among them."""
     count = min(count, len(samples))
     return [samples[(k + 1) * len(samples) // count - 1] for k in range(count)]
 
@@ -19,7 +19,7 @@ def choose_samples(plan: SamplePlan, count: int) -> list[Sample]:
 def make_sample_clip(scene_path: Path, garment: str, database: Path, count: int, path: Path) -> list[str]:
     """Save a copy of a scene whose character takes the poses of samples all over the plan, a frame each from frame 1.
 
-    Returns the samples, each as its joint and that joint's angles in degrees.
+    Only of those that have wrinkles of their own. Returns the samples, each as its joint and that joint's angles in degrees.
     """
     import bpy
 
@@ -29,8 +29,10 @@ def make_sample_clip(scene_path: Path, garment: str, database: Path, count: int,
     from .studio import open_garment, save
 
     shown = open_garment(scene_path, garment)
-    header = WrinkleDatabase.open(database).header
-    turned = [(sample.joint, header.plan.angles(sample)) for sample in choose_samples(header.plan, count)]
+    opened = WrinkleDatabase.open(database)
+    header = opened.header
+    own = [sample for sample, stored in opened.samples() if "stand_in" not in stored.report]
+    turned = [(sample.joint, header.plan.angles(sample)) for sample in choose_samples(own, count)]
     poses = [pose_of_angles(header.rig, header.joints, {joint: angles}) for joint, angles in turned]
     apply_motion(shown.wrinkles.armature, header.rig, poses, "Samples")
     scene = bpy.context.scene

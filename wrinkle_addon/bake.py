@@ -18,6 +18,7 @@ import numpy as np
 from . import storage
 from .database import (
     DatabaseHeader,
+    carried_over,
     expected_files,
     header_path,
     rest_path,
@@ -91,6 +92,7 @@ class BakeJob:
                 joints,
                 self.plan.mirror is not None,
                 asdict(self.settings),
+                *([sorted(sample.name for sample in left_out)] if (left_out := self.plan.left_out) else []),
             ]
         )
 
@@ -162,14 +164,17 @@ def bake(
         yield BakeEvent("rest", done, total, time.perf_counter() - started, float("nan"), report)
     if rest_only:
         return
+    for grid in job.plan.grids:
+        _write_made_from(job, folder, rest, Sample(grid.joint.name, grid.rest), SampleShape(rest, {}))
     spent = []
     started = time.perf_counter()
     for shapes in source.batches(todo):
         share = (time.perf_counter() - started) / len(shapes)
         for sample, shape in shapes.items():
             started = time.perf_counter()
+            # The sample itself comes last: where it is, all that is made from it is, too.
+            _write_made_from(job, folder, rest, sample, shape)
             write_sample(folder, job.header, rest, sample, shape.positions, shape.report)
-            _write_image(job, folder, rest, sample, shape)
             spent.append(share + time.perf_counter() - started)
             count = len(spent)
             remaining = float(np.mean(spent)) * (len(todo) - count)
@@ -199,15 +204,22 @@ def _rest(job: BakeJob, source: SampleSource, folder: Path) -> tuple[FloatArray,
     return arrays["positions"], report
 
 
-def _write_image(job: BakeJob, folder: Path, rest: FloatArray, sample: Sample, shape: SampleShape) -> None:
-    """Write the mirror image of a simulated sample, if the plan has one."""
-    mirror = job.plan.mirror
-    if mirror is None:
+def _write_made_from(job: BakeJob, folder: Path, rest: FloatArray, sample: Sample, shape: SampleShape) -> None:
+    """Write what is made from a simulated sample: those that it stands in for, and the mirror images of all of them."""
+    plan, header = job.plan, job.header
+    made = {sample: shape}
+    for other in (other for other, stand_in in plan.stand_ins.items() if stand_in == sample):
+        positions = carried_over(header, rest, sample, other, shape.positions)
+        made[other] = SampleShape(positions, {"stand_in": sample.name})
+        write_sample(folder, header, rest, other, positions, made[other].report)
+    if plan.mirror is None:
         return
-    for other in job.plan.samples:
-        if job.plan.image(other) == sample:
-            report = {**shape.report, "mirrored": sample.name}
-            write_sample(folder, job.header, rest, other, mirror.reflect_garment(shape.positions), report)
+    for image in plan.samples:
+        original = plan.image(image)
+        if original in made:
+            report = {**made[original].report, "mirrored": original.name}
+            positions = plan.mirror.reflect_garment(made[original].positions)
+            write_sample(folder, header, rest, image, positions, report)
 
 
 # --- our own solver as the source ---------------------------------------------------------------------------------

@@ -180,6 +180,21 @@ def sample_frame(header: DatabaseHeader, rest: FloatArray, sample: Sample) -> tu
     return skin_frame(header.rig, header.garment.weights, rest, pose)
 
 
+def carried_over(
+    header: DatabaseHeader, rest: FloatArray, sample: Sample, other: Sample, positions: FloatArray
+) -> FloatArray:
+    """The garment in another sample's pose with the wrinkles of this one [m], shape [vertex_count, 3].
+
+    Args:
+        rest: The settled rest garment [m], shape [vertex_count, 3].
+        positions: The garment in this sample's pose [m], shape [vertex_count, 3].
+    """
+    skinned, turns = sample_frame(header, rest, sample)
+    offsets = rotations.rotate(rotations.conjugate(turns), positions - skinned)
+    skinned, turns = sample_frame(header, rest, other)
+    return skinned + rotations.rotate(turns, offsets)
+
+
 def skin_frame(rig: Rig, weights: SkinWeights, rest: FloatArray, pose: Pose) -> tuple[FloatArray, FloatArray]:
     """x(v) [m] and Q(v) (w, x, y, z) of the default formulation in any pose, shapes [vertex_count, 3] and [.., 4]."""
     return weights.carry(pose.deformations(rig), rest), weights.turn(pose.turns(rig))

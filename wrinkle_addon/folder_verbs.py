@@ -72,6 +72,7 @@ def info(options: argparse.Namespace) -> Mapping[str, Any]:
             name: report["restless"] for name, report in named if "restless" in report and "mirrored" not in report
         },
         "inside": max((report.get("inside", 0) for report in reports), default=0),
+        "left_out": [name for name, report in named if "stand_in" in report],
         "corrected": [name for name, report in named if "corrected" in report],
         "self_intersections": max((report.get("self_intersections", 0) for report in reports), default=0),
     }
@@ -81,6 +82,9 @@ def info(options: argparse.Namespace) -> Mapping[str, Any]:
         f"  {stored / 1e6:.3g} MB of samples, {raw / 1e6:.3g} MB as raw positions "
         f"({result['times_smaller_than_raw']} times smaller)",
     ]
+    if result["left_out"]:
+        count = len(result["left_out"])
+        lines.append(f"  {count} have another sample's wrinkles, as limbs pass through each other in their poses")
     if result["corrected"]:
         lines.append(f"  corrected by hand: {', '.join(result['corrected'])}")
     if result["unconverged"]:

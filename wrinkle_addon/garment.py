@@ -102,6 +102,16 @@ class Body:
     faces: IntArray
     weights: FloatArray
 
+    def carry(self, deformations: FloatArray) -> FloatArray:
+        """Linear blend skinning by bone matrices, shape [bone_count, 4, 4]; what no bone carries stays where it is.
+
+        Returns:
+            The posed vertices [m], shape [vertex_count, 3].
+        """
+        still = 1.0 - self.weights.sum(1)
+        blended = np.tensordot(self.weights, deformations[:, :3], 1) + still[:, None, None] * np.eye(4)[:3]
+        return np.einsum("vij,vj->vi", blended[:, :, :3], self.positions) + blended[:, :, 3]
+
     def fingerprint(self) -> str:
         """Hash of topology, rest shape (rounded to 10 micrometres) and weights (to 1e-4)."""
         return _hash(self.faces, np.round(self.positions * 1e5), np.round(self.weights * 1e4))

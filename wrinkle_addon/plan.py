@@ -1,4 +1,8 @@
-"""Which joint takes which angles: the samples of a wrinkle database, their order, their price (W15-W20)."""
+"""Which joint takes which angles: the samples of a wrinkle database, their order, their price (W15-W20).
+
+Not every node of a grid is simulated: one side's stand for the other's, where the character is symmetric, and where the
+body passes through itself another node stands in (:mod:`.self_overlap`).
+"""
 
 from __future__ import annotations
 
@@ -111,10 +115,12 @@ class SamplePlan:
     Attributes:
         grids: The joints and their angles.
         mirror: Symmetry by which one side's samples are reflected into the other's, or None.
+        left_out: Samples that take another one's wrinkles, as no place is left for cloth in their poses.
     """
 
     grids: tuple[JointGrid, ...]
     mirror: Mirror | None = None
+    left_out: frozenset[Sample] = frozenset()
 
     @cached_property
     def grid(self) -> Mapping[str, JointGrid]:
@@ -127,25 +133,50 @@ class SamplePlan:
 
     @cached_property
     def simulated(self) -> tuple[Sample, ...]:
-        """The samples that must be simulated; the rest are mirror images of these."""
+        """The samples that must be simulated; the rest are mirror images of these, or take their wrinkles."""
+        return tuple(sample for sample in self.originals if sample not in self.left_out)
+
+    @cached_property
+    def originals(self) -> tuple[Sample, ...]:
+        """The samples that are not mirror images of others."""
         return tuple(sample for sample in self.samples if self.image(sample) is None)
+
+    @cached_property
+    def stand_ins(self) -> Mapping[Sample, Sample]:
+        """For each original that is left out, the nearest one in angle that is simulated, or the joint at rest.
+
+        Of two that are equally near it is the one that comes first in the grid, rest before all.
+        """
+        found = {}
+        for grid in self.grids:
+            name = grid.joint.name
+            free = [Sample(name, grid.rest), *(sample for sample in self.simulated if sample.joint == name)]
+            angles = np.array([grid.at(sample.index) for sample in free])
+            for sample in self.originals:
+                if sample.joint == name and sample in self.left_out:
+                    apart = np.linalg.norm(angles - self.angles(sample), axis=1)
+                    # Angles that differ by rounding alone are equally near.
+                    found[sample] = free[int(np.argmax(apart < apart.min() + 1e-6))]
+        return found
 
     def angles(self, sample: Sample) -> FloatArray:
         """Angles of the sample's joint [rad], shape [dof]."""
         return self.grid[sample.joint].at(sample.index)
 
     def parent(self, sample: Sample) -> Sample | None:
-        """The sample to simulate this one from; None for the rest pose."""
+        """The sample to simulate this one from, past any that are left out; None for the rest pose."""
         grid = self.grid[sample.joint]
         index = grid.parent(sample.index)
+        while index != grid.rest and Sample(sample.joint, index) in self.left_out:
+            index = grid.parent(index)
         return None if index == grid.rest else Sample(sample.joint, index)
 
     def image(self, sample: Sample) -> Sample | None:
-        """The simulated sample whose mirror image this one is, or None if it is simulated itself.
+        """The sample whose mirror image this one is, or None if it is an original itself.
 
-        Of two samples that mirror each other the one is simulated whose joint comes first in the plan, or, for a
+        Of two samples that mirror each other the one is the original whose joint comes first in the plan, or, for a
         joint in the middle, whose first angle that changes its sign is positive. That choice passes from a sample to
-        its parent, so a simulated sample never waits for a mirrored one.
+        its parent, so an original never waits for a mirrored one.
         """
         if self.mirror is None:
             return None

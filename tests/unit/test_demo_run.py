@@ -187,9 +187,9 @@ def test_pictures_that_do_not_fit_are_refused(tmp_path: Path) -> None:
 
 def test_pictured_samples_come_from_all_over_the_plan() -> None:
     plan = paper_plan([find_joints(human()).joints["elbow_L"]])
-    nodes = [sample.index[0] for sample in choose_samples(plan, 4)]
+    nodes = [sample.index[0] for sample in choose_samples(plan.samples, 4)]
     assert len(set(nodes)) == 4 and sorted(nodes)[0] < plan.grids[0].rest[0] < sorted(nodes)[-1]
-    assert choose_samples(plan, 100) == list(plan.samples)
+    assert choose_samples(plan.samples, 100) == list(plan.samples)
 
 
 def test_the_hardest_frames_lie_apart() -> None:

@@ -66,6 +66,28 @@ def test_a_sample_comes_after_its_parent_which_is_a_neighbour_nearer_to_rest():
     assert len(seen) == len(plan.samples)
 
 
+def test_what_is_left_out_is_passed_over_on_the_way_from_rest_and_takes_the_nearest_others_wrinkles():
+    shoulder = doll().joint("shoulder_L")
+    grid = grid_of(shoulder, [0, 40], [-30, 0, 30], [-30, 0, 20, 60])
+
+    def sample(*index: int) -> Sample:
+        return Sample("shoulder_L", index)
+
+    plan = SamplePlan((grid,), left_out=frozenset([sample(0, 1, 2), sample(1, 0, 0), sample(0, 0, 0)]))
+    assert not plan.left_out & {*plan.simulated} and len(plan.simulated) == len(plan.samples) - 3
+    # From rest past the node that is left out.
+    assert plan.parent(sample(0, 1, 3)) is None
+    assert plan.parent(sample(0, 2, 3)) == sample(0, 2, 2)
+    for each in plan.simulated:
+        assert plan.parent(each) not in plan.left_out
+    # 20 degrees from rest, 40 from the far end.
+    assert plan.stand_ins[sample(0, 1, 2)] == Sample("shoulder_L", grid.rest)
+    # Both are 30 degrees away; the first in the grid stands in.
+    assert plan.stand_ins[sample(0, 0, 0)] in (sample(0, 0, 1), sample(0, 1, 0))
+    assert plan.stand_ins.keys() == plan.left_out
+    assert plan.seconds(1000) < SamplePlan((grid,)).seconds(1000)
+
+
 def test_shards_cut_the_simulated_samples_into_even_parts():
     plan = symmetric_plan()
     parts = [plan.shard(number, 7) for number in range(7)]

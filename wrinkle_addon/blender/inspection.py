@@ -15,6 +15,8 @@ from ..bake import BakeJob
 from ..database import MANIFEST, WrinkleDatabase
 from ..garment import check_body, split_vertices, surface_problems
 from ..place import Part, Place, PlacedError
+from ..plan import SamplePlan
+from ..self_overlap import describe_left_out
 from ..symmetry import require_mirror
 from .character import SamplingStage, check_objects, read_mesh, sampling_stage
 from .coarse_layer import NONE, RestShapes, doubt_of
@@ -39,14 +41,38 @@ class Finding:
     stops: bool = True
 
 
-_found: dict[int, tuple[tuple[object, ...], Marks, list[Finding]]] = {}
-"""What was found last, and what it was made from, by the session_uid of the garment."""
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What was found on a garment.
+
+    Attributes:
+        source, marks: What it was found on.
+        findings: Problems first.
+        plan: The samples that would be baked; None if nothing can be.
+    """
+
+    source: tuple[object, ...]
+    marks: Marks
+    findings: list[Finding]
+    plan: SamplePlan | None
+
+
+_found: dict[int, Found] = {}
+"""What was found last, by the session_uid of the garment."""
+
+
+def found_on(garment: bpy.types.Object) -> Found | None:
+    """What was found last; None if nothing was, or if the garment is no longer what it was found on."""
+    found = _found.get(garment.session_uid)
+    if found is None or found.source != _source_of(garment) or not same_shapes(found.marks, garment):
+        return None
+    return found
 
 
 def findings_of(garment: bpy.types.Object) -> list[Finding] | None:
-    """What was found last; None if nothing was, or if the garment is no longer what it was found on."""
-    source, marks, findings = _found.get(garment.session_uid, (None, (), None))
-    return findings if source == _source_of(garment) and same_shapes(marks, garment) else None
+    """The findings of :func:`found_on`."""
+    found = found_on(garment)
+    return None if found is None else found.findings
 
 
 def _source_of(garment: bpy.types.Object) -> tuple[object, ...]:
@@ -188,7 +214,8 @@ def conclude_check(garment: bpy.types.Object, checked: Checked) -> list[Finding]
         findings += _notes(note)
     # Problems first.
     findings.sort(key=lambda finding: not finding.stops)
-    _found[garment.session_uid] = checked.order.source, checked.order.marks, findings
+    plan = None if checked.job is None else checked.job.plan
+    _found[garment.session_uid] = Found(checked.order.source, checked.order.marks, findings, plan)
     return findings
 
 
@@ -243,8 +270,11 @@ def _check_extremes(stage: SamplingStage, job: BakeJob) -> None:
 
 
 def _job_notes(job: BakeJob, symmetric: bool) -> list[Finding]:
-    """How much would be baked, and why both sides are simulated, if one could serve for both."""
-    notes = [*_notes(f"{len(job.plan.samples) + 1} samples of {job.garment.vertex_count} vertices would be baked.")]
+    """How much would be baked and what is left out, and why both sides are simulated, if one could serve for both."""
+    notes = [
+        *_notes(f"{len(job.plan.samples) + 1} samples of {job.garment.vertex_count} vertices would be baked."),
+        *_notes(describe_left_out(job.plan)),
+    ]
     if symmetric and job.plan.mirror is None:
         try:
             require_mirror(job.rig, [grid.joint for grid in job.plan.grids], job.garment, job.body)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..plan import SamplePlan, budget_plan, duration_text, paper_plan
 from ..rig import Joint
+from ..self_overlap import describe_left_out
 from ..symmetry import Mirror, other_side, symmetric_limits
 from .properties import defined_joint
 
@@ -22,7 +23,9 @@ class PlanPreview:
     """A plan in numbers.
 
     Attributes:
-        samples, simulated: How many there are, and how many of them are no mirror images, rest included.
+        samples, simulated: How many there are, and how many of them are simulated, rest included.
+        mirrored: How many are mirror images of these.
+        left_out: What is said of those that are neither; empty if there are none, or as long as that is not known.
         megabytes: About how large the database is.
         seconds: About how long a bake takes on one CPU core [s].
         grids: Number of angles of every sampled joint, by degree of freedom.
@@ -30,6 +33,8 @@ class PlanPreview:
 
     samples: int
     simulated: int
+    mirrored: int
+    left_out: str
     megabytes: float
     seconds: float
     grids: Mapping[str, tuple[int, ...]]
@@ -39,8 +44,13 @@ class PlanPreview:
         return duration_text(self.seconds)
 
 
-def preview_plan(garment: bpy.types.Object) -> PlanPreview | None:
-    """The plan that the garment's settings ask for; None if no joint is sampled."""
+def preview_plan(garment: bpy.types.Object, checked: SamplePlan | None = None) -> PlanPreview | None:
+    """The plan that the garment's settings ask for; None if no joint is sampled.
+
+    Args:
+        checked: That plan, if the check has made it since they were changed: it has seen where the body leaves no place
+            for cloth, for which a redraw has no time.
+    """
     settings = garment.wrinkles
     enabled = [joint for joint in settings.joints if joint.enabled]
     if not enabled:
@@ -50,11 +60,13 @@ def preview_plan(garment: bpy.types.Object) -> PlanPreview | None:
     )
     signs = settings.mirror_signs if settings.use_symmetry else ""
     budget = settings.budget if settings.plan == "BUDGET" else 0
-    plan = _plan(asked, signs, budget)
+    plan = checked or _plan(asked, signs, budget)
     count = len(garment.data.vertices)
     return PlanPreview(
         len(plan.samples) + 1,
         len(plan.simulated) + 1,
+        len(plan.samples) - len(plan.simulated) - len(plan.left_out),
+        describe_left_out(plan),
         plan.stored_bytes(count) / 1e6,
         plan.seconds(count),
         {grid.joint.name: grid.shape for grid in plan.grids},

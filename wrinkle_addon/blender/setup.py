@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
@@ -26,6 +26,7 @@ from ..joints import JointSearch, find_joints
 from ..place import Part, Place, PlacedError
 from ..plan import SamplePlan, budget_plan, paper_plan
 from ..rig import Joint, Rig
+from ..self_overlap import leave_out_overlaps
 from ..symmetry import find_mirror, require_mirror, symmetric_limits
 from ..wearer import BakeSettings
 from .character import SamplingStage, apply, check_objects, read_garment, read_mesh, rig_from_world, sampling_stage
@@ -319,7 +320,9 @@ class JobOrder:
             raise ValueError(
                 f"No joint of the garment '{self.garment.name}' is chosen for sampling; add or choose one."
             )
-        return BakeJob(self.rig, self.garment, self.body, self._plan(joints), self.settings)
+        job = BakeJob(self.rig, self.garment, self.body, self._plan(joints), self.settings)
+        plan = leave_out_overlaps(job.plan, self.rig, self.garment, self.body)
+        return replace(job, plan=plan) if plan.left_out else job
 
     def _plan(self, joints: list[Joint]) -> SamplePlan:
         mirror = find_mirror(self.rig, joints, self.garment, self.body) if self.symmetric else None

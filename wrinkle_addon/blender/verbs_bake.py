@@ -18,6 +18,7 @@ from ..bake import bake as bake_samples
 from ..database import MANIFEST, read_manifest
 from ..folder_verbs import choose_device
 from ..plan import duration_text
+from ..self_overlap import describe_left_out
 from .bake_workers import run_workers
 from .character import sampling_stage
 from .command import own_command
@@ -57,9 +58,11 @@ def plan(options: argparse.Namespace) -> Mapping[str, Any]:
         f"{len(sample_plan.samples) + 1} samples, {len(sample_plan.simulated) + 1} to simulate, "
         f"about {stored / 1e6:.3g} MB and {duration_text(seconds)} on one core"
     )
+    text += filter(None, [describe_left_out(sample_plan)])
     return {
         "samples": len(sample_plan.samples) + 1,
         "simulated": len(sample_plan.simulated) + 1,
+        "left_out": sorted(sample.name for sample in sample_plan.left_out),
         "vertices": vertices,
         "joints": joints,
         "raw_bytes": sample_plan.raw_bytes(vertices),
@@ -91,12 +94,14 @@ def bake(options: argparse.Namespace) -> Mapping[str, Any]:
     if shared:
         _share(options, garment, folder, report)
     complete = finish(job, folder)
+    text = f"{folder} is complete." if complete else f"This part of {folder} is baked; other shards are not."
     return {
         "database": str(folder),
         "key": job.key,
         "samples": len(job.plan.samples) + 1,
+        "left_out": sorted(sample.name for sample in job.plan.left_out),
         "complete": complete,
-        "text": f"{folder} is complete." if complete else f"This part of {folder} is baked; other shards are not.",
+        "text": " ".join(filter(None, [text, describe_left_out(job.plan)])),
     }
 
 

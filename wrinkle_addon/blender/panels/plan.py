@@ -7,6 +7,7 @@ import json
 import bpy
 
 from ...folder_verbs import choose_device
+from ..inspection import found_on
 from ..plan_preview import preview_plan
 from ..preferences import device_name
 from ..presets import WRINKLE_PT_fabric_presets, WRINKLE_PT_plan_presets
@@ -31,13 +32,14 @@ class WRINKLE_PT_plan(GarmentPanel, bpy.types.Panel):
         if settings.plan == "BUDGET":
             column.prop(settings, "budget")
         column.prop(settings, "use_symmetry")
-        preview = preview_plan(garment)
+        found = found_on(garment)
+        preview = preview_plan(garment, found and found.plan)
         if preview is None:
             say(context, layout, "Nothing to sample: switch a joint on in the list of joints.", icon="ERROR")
             return
         numbers = {"To Simulate": translated("{count} and the rest pose").format(count=preview.simulated - 1)}
-        if preview.simulated < preview.samples:
-            numbers["Mirrored"] = str(preview.samples - preview.simulated)
+        if preview.mirrored:
+            numbers["Mirrored"] = str(preview.mirrored)
         numbers["Size"] = translated("about {size:.1f} MB").format(size=max(preview.megabytes, 0.1))
         numbers["On One Core"] = translated("about {time}").format(time=preview.duration)
         try:
@@ -45,6 +47,8 @@ class WRINKLE_PT_plan(GarmentPanel, bpy.types.Panel):
         except ValueError as error:
             say(context, layout, str(error), icon="ERROR")
         say_numbers(layout, numbers)
+        if preview.left_out:
+            say(context, layout, preview.left_out, icon="INFO")
         if settings.use_symmetry and not same_shapes(json.loads(settings.symmetry_marks or "[]"), garment):
             say(context, layout, "The character's shape has changed: Check looks anew which side mirrors which.")
         elif settings.use_symmetry and not settings.mirror_signs:

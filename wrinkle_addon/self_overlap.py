@@ -1,0 +1,100 @@
+"""Poses in which a body passes through itself so far that no place is left for cloth; such samples are left out.
+
+    plan = leave_out_overlaps(plan, rig, garment, body)
+
+Where the thighs of crossed legs pass through each other, or a raised one through the belly, cloth that is worn on
+either would have to be inside the body. What it comes to rest in there is no wrinkle of any garment, and interpolation
+would spread it over the poses around. So such a sample takes the wrinkles of the nearest one that has a place for them.
+
+Limbs that meet press into each other a little in any skinned body, in the crook of an elbow, behind a bent knee. So it
+is the area that counts of skin that is buried deep, near the garment, and more of it than at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .garment import Body, Garment, distances_to_surface, vertex_normals
+from .plan import Sample, SamplePlan
+from .rig import FloatArray, IntArray, Pose, Rig, pose_of_angles
+from .surface import BodyVolume
+
+REACH = 0.1
+"""Skin within this distance of the garment at rest counts [m]."""
+
+ABOVE = 0.001
+"""Skin is buried if the body is met again this far above it [m]."""
+
+DEPTH = 0.02
+"""Buried skin is deep if it is farther than this from all skin that is free [m]."""
+
+MOST_AREA = 0.02
+"""A body with more deeply buried skin than this leaves no place for cloth [m^2]."""
+
+
+class SelfOverlap:
+    """How far a body passes through itself near a garment.
+
+    It is posed by plain skinning, which is what tells one limb's place from another's whatever refines it afterwards.
+    """
+
+    def __init__(self, rig: Rig, garment: Garment, body: Body):
+        self._rig, self._body = rig, body
+        distance = distances_to_surface(body.positions, garment.positions, garment.faces)
+        self._near = np.flatnonzero(distance < REACH)
+        self._area = vertex_areas(body.positions, body.faces)
+        # Mouths, eyes and clothes that a body holds inside it are no limbs that meet.
+        at_rest = self._buried(body.positions)
+        self._near, self._buried_at_rest = self._near[~at_rest], self._near[at_rest]
+
+    def area(self, pose: Pose) -> float:
+        """Area of the skin near the garment that lies deep inside the body in a pose, but not at rest [m^2]."""
+        positions = self._body.carry(pose.deformations(self._rig))
+        buried = self._near[self._buried(positions)]
+        if self._area[buried].sum() <= MOST_AREA:
+            # No more than this can be deep.
+            return 0.0
+        inside = np.zeros(len(positions), bool)
+        inside[buried] = inside[self._buried_at_rest] = True
+        faces = self._body.faces
+        depth = distances_to_surface(positions[buried], positions, faces[~inside[faces].any(1)])
+        return float(self._area[buried][depth > DEPTH].sum())
+
+    def _buried(self, positions: FloatArray) -> NDArray[np.bool_]:
+        """Which skin near the garment is inside the body, of another limb or a fold, in order of ``_near``."""
+        above = positions + ABOVE * vertex_normals(positions, self._body.faces)
+        return BodyVolume(positions, self._body.faces).depth(above[self._near])[0] > 0.0
+
+
+def leave_out_overlaps(plan: SamplePlan, rig: Rig, garment: Garment, body: Body) -> SamplePlan:
+    """The plan without those samples in whose poses the body leaves no place for cloth."""
+    overlap = SelfOverlap(rig, garment, body)
+    joints = [grid.joint for grid in plan.grids]
+
+    def is_crowded(sample: Sample) -> bool:
+        pose = pose_of_angles(rig, joints, {sample.joint: plan.angles(sample)})
+        return overlap.area(pose) > MOST_AREA
+
+    crowded = {sample for sample in plan.originals if is_crowded(sample)}
+    images = {sample for sample in plan.samples if plan.image(sample) in crowded}
+    return replace(plan, left_out=frozenset(crowded | images))
+
+
+def describe_left_out(plan: SamplePlan) -> str:
+    """One sentence on the samples that are left out; empty if there are none."""
+    if not plan.left_out:
+        return ""
+    return (
+        f"In {len(plan.left_out)} of {len(plan.samples) + 1} samples limbs pass through each other so far that cloth "
+        "has no place; they take the wrinkles of the nearest sample where it has one."
+    )
+
+
+def vertex_areas(positions: FloatArray, faces: IntArray) -> FloatArray:
+    """A third of the area of the triangles around each vertex [m^2], shape [vertex_count]."""
+    corners = positions[faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return np.bincount(faces.ravel(), np.repeat(area / 3.0, 3), len(positions)).astype(np.float64)
