@@ -145,18 +145,21 @@ class SamplePlan:
     def stand_ins(self) -> Mapping[Sample, Sample]:
         """For each original that is left out, the nearest one in angle that is simulated, or the joint at rest.
 
-        Of two that are equally near it is the one that comes first in the grid, rest before all.
+        It lies between rest and the other in every degree of freedom, where limbs do not meet as much. Of two that are
+        equally near it is the one that comes first in the grid.
         """
         found = {}
-        for grid in self.grids:
-            name = grid.joint.name
-            free = [Sample(name, grid.rest), *(sample for sample in self.simulated if sample.joint == name)]
-            angles = np.array([grid.at(sample.index) for sample in free])
-            for sample in self.originals:
-                if sample.joint == name and sample in self.left_out:
-                    apart = np.linalg.norm(angles - self.angles(sample), axis=1)
-                    # Angles that differ by rounding alone are equally near.
-                    found[sample] = free[int(np.argmax(apart < apart.min() + 1e-6))]
+        for sample in self.originals:
+            if sample not in self.left_out:
+                continue
+            grid, angles = self.grid[sample.joint], self.angles(sample)
+            free = [Sample(sample.joint, grid.rest), *(each for each in self.simulated if each.joint == sample.joint)]
+            place = np.array([grid.at(each.index) for each in free])
+            apart = np.linalg.norm(place - angles, axis=1)
+            between = ((place * angles >= 0.0) & (np.abs(place) <= np.abs(angles))).all(1)
+            apart[~between] = np.inf
+            # Angles that differ by rounding alone are equally near.
+            found[sample] = free[int(np.argmax(apart < apart.min() + 1e-6))]
         return found
 
     def angles(self, sample: Sample) -> FloatArray:

@@ -62,6 +62,7 @@ def report() -> dict[str, Any]:
             "times_smaller_than_raw": 4.0,
             "worst_residual": 0.3,
             "unconverged": 0,
+            "left_out": ["hip_L-0-0-1"],
             "inside": 3,
             "self_intersections": 12,
         },

@@ -83,7 +83,10 @@ def test_what_is_left_out_is_passed_over_on_the_way_from_rest_and_takes_the_near
     # 20 degrees from rest, 40 from the far end.
     assert plan.stand_ins[sample(0, 1, 2)] == Sample("shoulder_L", grid.rest)
     # Both are 30 degrees away; the first in the grid stands in.
-    assert plan.stand_ins[sample(0, 0, 0)] in (sample(0, 0, 1), sample(0, 1, 0))
+    assert plan.stand_ins[sample(0, 0, 0)] == next(s for s in plan.samples if s in (sample(0, 0, 1), sample(0, 1, 0)))
+    # The nearest, at 20 degrees, is farther from rest.
+    towards = SamplePlan((grid_of(shoulder, [0], [0, 40], [0, 30, 50]),), left_out=frozenset([sample(0, 1, 1)]))
+    assert towards.stand_ins[sample(0, 1, 1)] == sample(0, 1, 0)
     assert plan.stand_ins.keys() == plan.left_out
     assert plan.seconds(1000) < SamplePlan((grid,)).seconds(1000)
 
