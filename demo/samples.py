@@ -19,7 +19,8 @@ def choose_samples(samples: Sequence[Sample], count: int) -> list[Sample]:
 def make_sample_clip(scene_path: Path, garment: str, database: Path, count: int, path: Path) -> list[str]:
     """Save a copy of a scene whose character takes the poses of samples all over the plan, a frame each from frame 1.
 
-    Only of those that have wrinkles of their own. Returns the samples, each as its joint and that joint's angles in degrees.
+    Samples that have another one's wrinkles are passed over. Returns the others, each as its joint and that joint's
+    angles in degrees.
     """
     import bpy
 

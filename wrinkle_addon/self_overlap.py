@@ -97,4 +97,4 @@ def vertex_areas(positions: FloatArray, faces: IntArray) -> FloatArray:
     """A third of the area of the triangles around each vertex [m^2], shape [vertex_count]."""
     corners = positions[faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    return np.bincount(faces.ravel(), np.repeat(area / 3.0, 3), len(positions)).astype(np.float64)
+    return np.asarray(np.bincount(faces.ravel(), np.repeat(area / 3.0, 3), len(positions)), np.float64)

@@ -303,6 +303,22 @@ def test_a_joint_may_have_a_step_of_its_own(shirt: bpy.types.Object) -> None:
     assert counts[1] < counts[0] < counts[2]
 
 
+def test_what_is_left_out_is_told_once_the_check_has_seen_it(arm: Arm) -> None:
+    settings = arm.sleeve.wrinkles
+    settings.plan, settings.budget, settings.use_symmetry = "BUDGET", 2, False
+    settings.joints["shoulder_L"].enabled = False
+    # At its end the forearm lies in the upper arm.
+    settings.joints["elbow_L"].high[0] = np.radians(165.0)
+    sentence = "In 1 of 3 samples limbs pass through each other"
+    assert sentence not in draw(panels.plan.WRINKLE_PT_plan).text
+    assert bpy.ops.wrinkle.check_garment() == {"FINISHED"}
+    text = draw(panels.plan.WRINKLE_PT_plan).text
+    assert sentence in text and "1 and the rest pose" in text and "Mirrored" not in text
+    settings.joints["elbow_L"].high[0] = np.radians(90.0)
+    text = draw(panels.plan.WRINKLE_PT_plan).text
+    assert sentence not in text and "2 and the rest pose" in text
+
+
 def test_nothing_to_sample_is_said(arm: Arm) -> None:
     for joint in arm.sleeve.wrinkles.joints:
         joint.enabled = False

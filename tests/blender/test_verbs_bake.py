@@ -133,6 +133,30 @@ def test_a_character_in_centimetres_is_baked_in_metres(wrinkle, tmp_path: Path, 
     assert evaluated["max_mm"]["ours"] < 0.01 < 1.0 < evaluated["max_mm"]["skinning"] < 100.0
 
 
+# --- left out -----------------------------------------------------------------------------------------------------
+
+
+def test_a_pose_in_which_limbs_pass_through_each_other_is_left_out_and_told(wrinkle, tmp_path: Path) -> None:
+    empty_scene()
+    path = save_arm(tmp_path / "arm.blend")
+    settings = bpy.data.objects["sleeve"].wrinkles
+    # The forearm lies in the upper arm.
+    settings.joints["elbow_L"].high[0], settings.budget = np.radians(165.0), 2
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    sentence = "In 1 of 3 samples limbs pass through each other so far that cloth has no place"
+    planned = wrinkle("plan", path, "--json").result
+    assert planned["left_out"] == ["elbow_L-2"] and planned["simulated"] == 2
+    assert sentence in wrinkle("plan", path).output
+    assert any(sentence in note for note in wrinkle("check", path, "--json").result["notes"])
+    assert sentence in wrinkle("bake", path).output
+    folder = path.with_name("sleeve.wrinkles")
+    assert wrinkle("info", folder, "--json").result["left_out"] == ["elbow_L-2"]
+    assert "1 have another sample's wrinkles" in wrinkle("info", folder).output
+    assert wrinkle("verify", folder).code == 0
+    # It is played there as anywhere else.
+    assert wrinkle("synthesize", path, "--out", path.with_suffix(".pc2")).code == 0
+
+
 # --- refused ------------------------------------------------------------------------------------------------------
 
 
