@@ -6,8 +6,10 @@ Where the thighs of crossed legs pass through each other, or a raised one throug
 either would have to be inside the body. What it comes to rest in there is no wrinkle of any garment, and interpolation
 would spread it over the poses around. So such a sample takes the wrinkles of the nearest one that has a place for them.
 
-Limbs that meet press into each other a little in any skinned body, in the crook of an elbow, behind a bent knee. So it
-is the area that counts of skin that is buried deep, near the garment, and more of it than at rest.
+In any skinned body skin is buried where a joint bends, in the crook of an elbow, behind a knee, between a sitting thigh
+and the belly. Cloth slides out of such a crease and bulges. Away from the joint it cannot: there a sleeve or a trouser
+leg would have to go around both limbs. So what counts is the area of skin that is buried deep, near the garment, away
+from the joint that is turned, and not at rest.
 """
 
 from __future__ import annotations
@@ -15,11 +17,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .garment import Body, Garment, distances_to_surface, vertex_normals
 from .plan import Sample, SamplePlan
-from .rig import FloatArray, IntArray, Pose, Rig, pose_of_angles
+from .rig import FloatArray, IntArray, Joint, Rig, pose_of_angles
 from .surface import BodyVolume
 
 REACH = 0.1
@@ -31,7 +33,10 @@ ABOVE = 0.001
 DEPTH = 0.02
 """Buried skin is deep if it is farther than this from all skin that is free [m]."""
 
-MOST_AREA = 0.02
+CREASE = 0.15
+"""Skin so near to the joint's pivot lies in the crease where it bends [m]."""
+
+MOST_AREA = 0.01
 """A body with more deeply buried skin than this leaves no place for cloth [m^2]."""
 
 
@@ -50,18 +55,21 @@ class SelfOverlap:
         at_rest = self._buried(body.positions)
         self._near, self._buried_at_rest = self._near[~at_rest], self._near[at_rest]
 
-    def area(self, pose: Pose) -> float:
-        """Area of the skin near the garment that lies deep inside the body in a pose, but not at rest [m^2]."""
+    def area(self, joint: Joint, angles: ArrayLike) -> float:
+        """Area of the skin that is buried deep by turning one joint [rad], shape [dof], away from its crease [m^2]."""
+        pose = pose_of_angles(self._rig, [joint], {joint.name: angles})
         positions = self._body.carry(pose.deformations(self._rig))
         buried = self._near[self._buried(positions)]
-        if self._area[buried].sum() <= MOST_AREA:
+        away = np.linalg.norm(positions[buried] - joint.pivot(self._rig), axis=1) > CREASE
+        if self._area[buried[away]].sum() <= MOST_AREA:
             # No more than this can be deep.
             return 0.0
         inside = np.zeros(len(positions), bool)
         inside[buried] = inside[self._buried_at_rest] = True
         faces = self._body.faces
-        depth = distances_to_surface(positions[buried], positions, faces[~inside[faces].any(1)])
-        return float(self._area[buried][depth > DEPTH].sum())
+        counted = buried[away]
+        depth = distances_to_surface(positions[counted], positions, faces[~inside[faces].any(1)])
+        return float(self._area[counted][depth > DEPTH].sum())
 
     def _buried(self, positions: FloatArray) -> NDArray[np.bool_]:
         """Which skin near the garment is inside the body, of another limb or a fold, in order of ``_near``."""
@@ -72,11 +80,9 @@ class SelfOverlap:
 def leave_out_overlaps(plan: SamplePlan, rig: Rig, garment: Garment, body: Body) -> SamplePlan:
     """The plan without those samples in whose poses the body leaves no place for cloth."""
     overlap = SelfOverlap(rig, garment, body)
-    joints = [grid.joint for grid in plan.grids]
 
     def is_crowded(sample: Sample) -> bool:
-        pose = pose_of_angles(rig, joints, {sample.joint: plan.angles(sample)})
-        return overlap.area(pose) > MOST_AREA
+        return overlap.area(plan.grid[sample.joint].joint, plan.angles(sample)) > MOST_AREA
 
     crowded = {sample for sample in plan.originals if is_crowded(sample)}
     images = {sample for sample in plan.samples if plan.image(sample) in crowded}
