@@ -7,9 +7,9 @@ either would have to be inside the body. What it comes to rest in there is no wr
 would spread it over the poses around. So such a sample takes the wrinkles of the nearest one that has a place for them.
 
 In any skinned body skin is buried where a joint bends, in the crook of an elbow, behind a knee, between a sitting thigh
-and the belly. Cloth slides out of such a crease and bulges. Away from the joint it cannot: there a sleeve or a trouser
-leg would have to go around both limbs. So what counts is the area of skin that is buried deep, near the garment, away
-from the joint that is turned, and not at rest.
+and the belly. Cloth slides out of such a crease and bulges, unless the crease is huge. Away from the joint it cannot:
+there a sleeve or a trouser leg would have to go around both limbs. So what counts is the area of skin near the garment
+that is buried deep, and was not at rest, with a lower bound away from the joint that is turned.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ DEPTH = 0.02
 CREASE = 0.15
 """Skin so near to the joint's pivot lies in the crease where it bends [m]."""
 
-MOST_AREA = 0.01
-"""A body with more deeply buried skin than this leaves no place for cloth [m^2]."""
+MOST_BURIED, MOST_AWAY = 0.03, 0.01
+"""With more deeply buried skin than this in all, or away from the crease, a body leaves no place for cloth [m^2]."""
 
 
 class SelfOverlap:
@@ -55,21 +55,30 @@ class SelfOverlap:
         at_rest = self._buried(body.positions)
         self._near, self._buried_at_rest = self._near[~at_rest], self._near[at_rest]
 
-    def area(self, joint: Joint, angles: ArrayLike) -> float:
-        """Area of the skin that is buried deep by turning one joint [rad], shape [dof], away from its crease [m^2]."""
+    def leaves_place(self, joint: Joint, angles: ArrayLike) -> bool:
+        """Whether there is a place for cloth when a joint is turned to some angles [rad], shape [dof]."""
+        in_all, away = self.areas(joint, angles)
+        return in_all <= MOST_BURIED and away <= MOST_AWAY
+
+    def areas(self, joint: Joint, angles: ArrayLike) -> tuple[float, float]:
+        """Areas of the skin that is buried deep by turning a joint, in all, and away from its crease [m^2].
+
+        Args:
+            angles: Of the joint [rad], shape [dof]; all others are at rest.
+        """
         pose = pose_of_angles(self._rig, [joint], {joint.name: angles})
         positions = self._body.carry(pose.deformations(self._rig))
         buried = self._near[self._buried(positions)]
-        away = np.linalg.norm(positions[buried] - joint.pivot(self._rig), axis=1) > CREASE
-        if self._area[buried[away]].sum() <= MOST_AREA:
+        if self._area[buried].sum() <= MOST_AWAY:
             # No more than this can be deep.
-            return 0.0
+            return 0.0, 0.0
         inside = np.zeros(len(positions), bool)
         inside[buried] = inside[self._buried_at_rest] = True
         faces = self._body.faces
-        counted = buried[away]
-        depth = distances_to_surface(positions[counted], positions, faces[~inside[faces].any(1)])
-        return float(self._area[counted][depth > DEPTH].sum())
+        depth = distances_to_surface(positions[buried], positions, faces[~inside[faces].any(1)])
+        deep = buried[depth > DEPTH]
+        away = np.linalg.norm(positions[deep] - joint.pivot(self._rig), axis=1) > CREASE
+        return float(self._area[deep].sum()), float(self._area[deep[away]].sum())
 
     def _buried(self, positions: FloatArray) -> NDArray[np.bool_]:
         """Which skin near the garment is inside the body, of another limb or a fold, in order of ``_near``."""
@@ -81,10 +90,10 @@ def leave_out_overlaps(plan: SamplePlan, rig: Rig, garment: Garment, body: Body)
     """The plan without those samples in whose poses the body leaves no place for cloth."""
     overlap = SelfOverlap(rig, garment, body)
 
-    def is_crowded(sample: Sample) -> bool:
-        return overlap.area(plan.grid[sample.joint].joint, plan.angles(sample)) > MOST_AREA
+    def leaves_place(sample: Sample) -> bool:
+        return overlap.leaves_place(plan.grid[sample.joint].joint, plan.angles(sample))
 
-    crowded = {sample for sample in plan.originals if is_crowded(sample)}
+    crowded = {sample for sample in plan.originals if not leaves_place(sample)}
     images = {sample for sample in plan.samples if plan.image(sample) in crowded}
     return replace(plan, left_out=frozenset(crowded | images))
 

@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 from dolls import grid_of, tube_along, weights_by_distance
 from skeletons import human
-from wrinkle_synthesis.wrinkle_addon import rotations
+from wrinkle_synthesis.wrinkle_addon import rotations, self_overlap
 from wrinkle_synthesis.wrinkle_addon.bake import BakeJob, SampleShape, bake
 from wrinkle_synthesis.wrinkle_addon.database import WrinkleDatabase, sample_frame, write_sample
 from wrinkle_synthesis.wrinkle_addon.garment import Body, Garment, skin_garment
@@ -20,7 +20,7 @@ from wrinkle_synthesis.wrinkle_addon.joints import find_joints
 from wrinkle_synthesis.wrinkle_addon.plan import Sample, SamplePlan
 from wrinkle_synthesis.wrinkle_addon.rig import FloatArray, IntArray, Joint, Rig
 from wrinkle_synthesis.wrinkle_addon.self_overlap import (
-    MOST_AREA,
+    MOST_AWAY,
     SelfOverlap,
     describe_left_out,
     leave_out_overlaps,
@@ -46,8 +46,11 @@ class Legs:
         assert joint is not None
         return joint
 
-    def area(self, overlap: SelfOverlap, name: str, *degrees: float) -> float:
-        return overlap.area(self.joint(name), np.radians(degrees))
+    def areas(self, overlap: SelfOverlap, name: str, *degrees: float) -> tuple[float, float]:
+        return overlap.areas(self.joint(name), np.radians(degrees))
+
+    def leaves_place(self, overlap: SelfOverlap, name: str, *degrees: float) -> bool:
+        return overlap.leaves_place(self.joint(name), np.radians(degrees))
 
 
 def tubes(rig: Rig, radius: float, rings: int, around: int) -> tuple[FloatArray, IntArray]:
@@ -78,19 +81,27 @@ def legs() -> Legs:
 
 def test_legs_that_pass_through_each_other_leave_no_place_and_a_bent_knee_does() -> None:
     overlap = SelfOverlap(legs().rig, legs().trousers, legs().body)
-    assert legs().area(overlap, "hip_L", 0, 0, 0) == 0.0
-    assert legs().area(overlap, "hip_L", 0, 0, CLOSE) < MOST_AREA
-    assert legs().area(overlap, "hip_L", 0, 0, CROSSED) > 2.0 * MOST_AREA
+    assert legs().areas(overlap, "hip_L", 0, 0, 0) == (0.0, 0.0)
+    assert legs().leaves_place(overlap, "hip_L", 0, 0, CLOSE)
+    assert not legs().leaves_place(overlap, "hip_L", 0, 0, CROSSED)
     # Raised, it crosses in front of the other one.
-    assert legs().area(overlap, "hip_L", 0, 60, CROSSED) < MOST_AREA
-    # The calf presses into the thigh, but in the crease alone.
-    assert legs().area(overlap, "knee_L", 120) < MOST_AREA
-    assert legs().area(overlap, "knee_L", 150) > MOST_AREA
+    assert legs().leaves_place(overlap, "hip_L", 0, 60, CROSSED)
+    # The calf presses into the thigh, but in the crease alone; bent on, the shin comes through it.
+    pressed, away = legs().areas(overlap, "knee_L", 130)
+    assert pressed > MOST_AWAY > away and legs().leaves_place(overlap, "knee_L", 130)
+    assert not legs().leaves_place(overlap, "knee_L", 150)
+
+
+def test_too_much_is_buried_in_a_crease_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    overlap = SelfOverlap(legs().rig, legs().trousers, legs().body)
+    pressed, away = legs().areas(overlap, "knee_L", 130)
+    monkeypatch.setattr(self_overlap, "MOST_BURIED", 0.9 * pressed)
+    assert away < MOST_AWAY and not legs().leaves_place(overlap, "knee_L", 130)
 
 
 def test_both_sides_are_measured_alike() -> None:
     overlap = SelfOverlap(legs().rig, legs().trousers, legs().body)
-    areas = [legs().area(overlap, name, 0, 0, CROSSED) for name in ("hip_L", "hip_R")]
+    areas = [legs().areas(overlap, name, 0, 0, CROSSED)[1] for name in ("hip_L", "hip_R")]
     assert areas[0] == pytest.approx(areas[1], rel=0.05)
 
 
@@ -105,7 +116,7 @@ def test_what_lies_inside_the_body_at_rest_does_not_count() -> None:
     )
     overlap = SelfOverlap(whole.rig, whole.trousers, stuffed)
     for angle in (0.0, 30.0):
-        assert whole.area(overlap, "hip_L", 0, 0, angle) == 0.0
+        assert whole.areas(overlap, "hip_L", 0, 0, angle) == (0.0, 0.0)
 
 
 def test_limbs_far_from_the_garment_do_not_count() -> None:
@@ -116,8 +127,8 @@ def test_limbs_far_from_the_garment_do_not_count() -> None:
     used = np.unique(faces)
     socks = replace(shins, positions=shins.positions[used], faces=np.searchsorted(used, faces).astype(np.int32))
     # The shin comes through the thigh.
-    assert whole.area(SelfOverlap(whole.rig, whole.trousers, whole.body), "knee_L", 140) > 0.0
-    assert whole.area(SelfOverlap(whole.rig, socks, whole.body), "knee_L", 140) == 0.0
+    assert min(whole.areas(SelfOverlap(whole.rig, whole.trousers, whole.body), "knee_L", 140)) > 0.0
+    assert whole.areas(SelfOverlap(whole.rig, socks, whole.body), "knee_L", 140) == (0.0, 0.0)
 
 
 # --- what it does to a plan -----------------------------------------------------------------------------------------
