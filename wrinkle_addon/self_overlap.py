@@ -9,7 +9,7 @@ would spread it over the poses around. So such a sample takes the wrinkles of th
 In any skinned body skin is buried where a joint bends, in the crook of an elbow, behind a knee, between a sitting thigh
 and the belly. Cloth slides out of such a crease and bulges, unless the crease is huge. Away from the joint it cannot:
 there a sleeve or a trouser leg would have to go around both limbs. So what counts is the area of skin near the garment
-that is buried deep, and was not at rest, with a lower bound away from the joint that is turned.
+that is buried deep, and was not at rest; less of it is borne away from the joint that is turned.
 """
 
 from __future__ import annotations

@@ -41,8 +41,10 @@ def _draw_samples(layout: bpy.types.UILayout, player: Player) -> None:
     layout.label(text=player.summary, icon="MATCLOTH", translate=False)
     residuals = [report["residual"] for report in player.reports.values() if "residual" in report]
     restless = {name: report for name, report in player.reports.items() if not report.get("converged", True)}
+    left_out = sum("stand_in" in report for report in player.reports.values())
     if residuals:
-        say_numbers(layout, {"Worst Residual": f"{max(residuals):.2g}", "Not at Rest": str(len(restless))})
+        numbers = {"Worst Residual": f"{max(residuals):.2g}", "Not at Rest": str(len(restless))}
+        say_numbers(layout, numbers | ({"Left Out": str(left_out)} if left_out else {}))
     for name, report in list(restless.items())[:12]:
         place = report.get("restless", "")
         layout.label(text=f"{name}  {place}", icon="DOT", translate=False)
