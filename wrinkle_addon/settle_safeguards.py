@@ -81,7 +81,8 @@ class SettleSafeguards:
             touching: Whether the body is touched: its planes are found anew between steps, out of the line search's
                 sight.
         """
-        fruitless = (after >= self._lowest) & (after > RESTLESS)
+        # Free cloth has no walls that spring up: where its residual grows, it is on its way.
+        fruitless = (after >= self._lowest) & (after > RESTLESS) & touching
         self._waiting = np.where(fruitless, self._waiting + 1, 0)
         self._in_vain += fruitless
         self._lowest = np.minimum(after, self._lowest)

@@ -359,11 +359,15 @@ def test_a_body_that_cuts_into_itself_is_borne(device):
 
 @pytest.mark.long
 def test_a_fine_sleeve_settles_with_layers_pressed_together(device):
-    """Edges about as long as the cloth's thickness, folded tightly: a vertex touches a dozen triangles at once."""
+    """Edges about as long as the cloth's thickness, folded tightly: a vertex touches a dozen triangles at once.
+
+    A fold may roll on before it rests, by a quarter of a millimetre a linearisation: whether it does, the last bits of
+    the matrix decide. It rested after 25 with some, after 116 with others.
+    """
     sleeve = Sleeve(120, 100, width=0.06, device=device)
     assert sleeve.simulation.settle(1.0).converged
     sleeve.bend(75.0)
-    assert sleeve.simulation.settle(1.0).converged
+    assert sleeve.simulation.settle(1.0, 180).converged
     assert sleeve.simulation.settle(0.1, 120).converged
 
 
