@@ -11,7 +11,7 @@ from .blend import join_offsets
 wp.set_module_options({"enable_backward": False})
 
 # Meshes whose offsets lie side by side, and are read at once.
-LANES = 4
+LANES = 3
 mat_lanes = wp.types.matrix((LANES, 3), wp.float32)
 
 COLUMNS = wp.constant(32)
@@ -48,21 +48,25 @@ def detach_meshes(
     first: wp.int32,
     means: wp.array2d[mat_lanes],
     start: wp.array[wp.int32],
-    columns: wp.array[wp.int32],
-    weights: wp.array[wp.float32],
+    columns: wp.array[wp.vec4i],
+    weights: wp.array[wp.vec4],
     strength: wp.float32,
     # in and out
     meshes: wp.array2d[wp.vec3],
 ):
     """Take the coarse vertices' means away from every fine vertex [m], ``strength`` of them (eq 6's second half).
 
-    ``weights`` are a_uv after Laplacian smoothing over the fine mesh.
+    ``weights`` are a_uv after Laplacian smoothing over the fine mesh, four at a time.
     """
     u = first + wp.tid()
     for side in range(means.shape[0]):
         taken = mat_lanes()
         for k in range(start[u], start[u + 1]):
-            taken += weights[k] * means[side, columns[k]]
+            c = columns[k]
+            w = weights[k]
+            taken += (w[0] * means[side, c[0]] + w[1] * means[side, c[1]]) + (
+                w[2] * means[side, c[2]] + w[3] * means[side, c[3]]
+            )
         for lane in range(LANES):
             if LANES * side + lane < meshes.shape[0]:
                 meshes[LANES * side + lane, u] -= strength * taken[lane]
@@ -101,8 +105,8 @@ def attach_mesh(
     first: wp.int32,
     means: wp.array[wp.vec3],
     start: wp.array[wp.int32],
-    columns: wp.array[wp.int32],
-    weights: wp.array[wp.float32],
+    columns: wp.array[wp.vec4i],
+    weights: wp.array[wp.vec4],
     strength: wp.float32,
     # in and out
     positions: wp.array[wp.vec3],
@@ -111,7 +115,9 @@ def attach_mesh(
     u = first + wp.tid()
     added = wp.vec3()
     for k in range(start[u], start[u + 1]):
-        added += weights[k] * means[columns[k]]
+        c = columns[k]
+        w = weights[k]
+        added += (w[0] * means[c[0]] + w[1] * means[c[1]]) + (w[2] * means[c[2]] + w[3] * means[c[3]])
     positions[u] += strength * added
 
 

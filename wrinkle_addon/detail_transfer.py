@@ -120,7 +120,7 @@ class DetailTransfer:
         if follow is not None:
             weights = weights * np.asarray(follow, np.float32)[rows_of(start)]
         members = match.members(as_published=self.settings.as_published)
-        self._members, self._rows = self._upload_rows(*members), self._upload_rows(start, columns, weights)
+        self._members, self._rows = self._upload_rows(*members), self._upload_rows(*by_fours(start, columns, weights))
         self._fine_count, self._coarse_count = match.fine_count, match.coarse_count
         self._split = SplitLaunch(match.fine_count, self.device)
         self._split_coarse = SplitLaunch(match.fine_count, self.device, block_count=match.coarse_count)
@@ -129,7 +129,8 @@ class DetailTransfer:
         self._attaching = self._record_attaching(mean_places(match, *members, as_published=self.settings.as_published))
 
     def _upload_rows(self, start: IntArray, entries: IntArray, weights: NDArray[np.floating]) -> list[wp.array]:
-        kinds = (wp.int32, wp.vec3i if entries.ndim > 1 else wp.int32, wp.float32)
+        width = entries.shape[1] if entries.ndim > 1 else 1
+        kinds = wp.int32, {1: wp.int32, 3: wp.vec3i, 4: wp.vec4i}[width], wp.vec4 if weights.ndim > 1 else wp.float32
         arrays = zip((start, entries, weights), kinds, strict=True)
         return [wp.array(values, dtype=kind, device=self.device) for values, kind in arrays]
 
@@ -265,6 +266,19 @@ def smoothed_weights(
     rows, columns, weights = rows[order], columns[order], weights[order].astype(np.float64)
     weights /= np.bincount(rows, weights, match.fine_count)[rows]
     return row_starts(rows, match.fine_count), columns.astype(np.int32), weights.astype(np.float32)
+
+
+def by_fours(
+    start: IntArray, columns: IntArray, weights: NDArray[np.float32]
+) -> tuple[IntArray, IntArray, NDArray[np.float32]]:
+    """Rows of a sparse matrix four entries at a time, the last ones of each row filled up with zeros."""
+    row = rows_of(start)
+    fours = -(-np.diff(start) // 4)
+    first = np.concatenate([[0], np.cumsum(fours)]).astype(np.int32)
+    place = 4 * first[row] + np.arange(len(columns)) - start[row]
+    wide_columns, wide_weights = np.zeros(4 * first[-1], np.int32), np.zeros(4 * first[-1], np.float32)
+    wide_columns[place], wide_weights[place] = columns, weights
+    return first, wide_columns.reshape(-1, 4), wide_weights.reshape(-1, 4)
 
 
 def cotangent_weights(positions: FloatArray, faces: IntArray) -> tuple[IntArray, IntArray, NDArray[np.float32]]:

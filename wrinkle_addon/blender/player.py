@@ -6,8 +6,9 @@ Players hold arrays and no Blender data, so undo leaves them valid.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -110,11 +111,18 @@ class Begun:
     """What another thread does while a garment's coarse layer is simulated.
 
     Attributes:
+        work: Acts that do not wait for each other.
         body: The body that the garment is to be kept clear of, in its object space; None for none.
     """
 
-    work: Ahead
+    work: tuple[Ahead, ...]
     body: NDArray[np.float32] | None
+
+    def finish(self) -> None:
+        """Come back when all is done; the last act, which is the least likely to have begun, first."""
+        with ExitStack() as rest:
+            for one in self.work:
+                rest.callback(one.finish)
 
 
 class Player:
@@ -224,13 +232,10 @@ class Player:
         strengths, follow = evaluated.wrinkles.strengths(), float(evaluated.wrinkles.follow)
         wanted = self._at_full_detail(garment, depsgraph) and garment.wrinkles.clear_of_body
         body = self._clearance.read(garment, depsgraph, pose, placement, wanted=wanted)
-
-        def act() -> None:
-            layer.wrinkles.synthesise(pose, self._positions, strengths, placement, follow)
-            if body is not None:
-                self._clearance.move(body)
-
-        self._begun = Begun(Ahead(act), body)
+        acts = [partial(layer.wrinkles.synthesise, pose, self._positions, strengths, placement, follow)]
+        if body is not None:
+            acts.append(partial(self._clearance.move, body))
+        self._begun = Begun(tuple(Ahead(act) for act in acts), body)
 
     def read(
         self,
@@ -262,7 +267,7 @@ class Player:
         finally:
             # The arrays that it reads and writes are free again.
             if begun is not None:
-                begun.work.finish()
+                begun.finish()
         evaluated = garment.evaluated_get(depsgraph)
         placement = self._placement(evaluated, garment.wrinkles.armature.evaluated_get(depsgraph))
         strengths = evaluated.wrinkles.strengths()
