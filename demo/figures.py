@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..wrinkle_addon.evaluate import correlation
 from ..wrinkle_addon.joint_wrinkles import Formulation
 from ..wrinkle_addon.pc2 import PointCache
 from ..wrinkle_addon.surface import SurfaceMeasures
@@ -108,18 +109,18 @@ def curvature_sums(measures: SurfaceMeasures, shapes: Mapping[str, Shapes]) -> d
     }
 
 
-def compare_sums(sums: Mapping[str, NDArray[np.float64]]) -> dict[str, dict[str, float]]:
+def compare_sums(sums: Mapping[str, NDArray[np.float64]]) -> dict[str, dict[str, float | None]]:
     """How each stage's sums stand to the full simulation's.
 
     Returns:
-        By stage: ``ratio`` of the sums over all frames, ``correlation`` over the frames, ``fluctuation``, the standard
-        deviation over the frames to the full simulation's (W102).
+        By stage: ``ratio`` of the sums over all frames, ``correlation`` over the frames, None where nothing varies,
+        ``fluctuation``, the standard deviation over the frames to the full simulation's (W102).
     """
     full = sums[FULL]
     return {
         stage: {
             "ratio": float(values.sum() / full.sum()),
-            "correlation": float(np.corrcoef(values, full)[0, 1]),
+            "correlation": correlation(values.tolist(), full.tolist()),
             "fluctuation": float(values.std() / full.std()),
         }
         for stage, values in sums.items()

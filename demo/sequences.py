@@ -224,6 +224,7 @@ def tabulate(reports: Mapping[str, Mapping[str, Any]]) -> str:
     for name, report in reports.items():
         for garment, found in report["measured"].items():
             errors, curvature = found["rmse_mm"], found["curvature"]
+            correlation = curvature[OURS]["correlation"]
             passing = found["between"] if garment == WHOLE else found["passing"]
             samples = report["databases"][garment]["samples"] if garment != WHOLE else ""
             cells = (
@@ -233,7 +234,7 @@ def tabulate(reports: Mapping[str, Mapping[str, Any]]) -> str:
                 f"{samples}",
                 *(f"{errors[made]:.1f} mm" for made in (SKINNING, COARSE, OURS)),
                 f"{curvature[OURS]['ratio']:.2f} ({curvature[COARSE]['ratio']:.2f})",
-                f"{curvature[OURS]['correlation']:.2f}",
+                "" if correlation is None else f"{correlation:.2f}",
                 f"{100 * found['inside'][OURS]:.2f} ({100 * found['inside_overlap'][OURS]:.2f}) %",
                 f"{passing[OURS]:.0f} ({passing[FULL]:.0f})",
             )

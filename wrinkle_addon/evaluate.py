@@ -160,7 +160,7 @@ def evaluate(
             if (members := regions.vertex_segment == k).any()
         },
         "curvature_ratio": float(np.sum(curvature[OURS]) / np.sum(curvature["reference"])),
-        "curvature_correlation": _correlation(curvature[OURS], curvature["reference"]),
+        "curvature_correlation": correlation(curvature[OURS], curvature["reference"]),
         "inside_share": float(np.mean(inside)) if inside else None,
         "inside_overlap_share": float(np.mean(overlap)) if overlap else None,
         "deepest_mm": float(np.max(deepest) * 1e3) if deepest else None,
@@ -177,7 +177,7 @@ def _max_mm(squared: FloatArray) -> float:
     return float(np.sqrt(squared.max()) * 1e3)
 
 
-def _correlation(a: Sequence[float], b: Sequence[float]) -> float | None:
+def correlation(a: Sequence[float], b: Sequence[float]) -> float | None:
     """Pearson's correlation, None where one of the two does not vary."""
     if len(a) < 3 or np.std(a) == 0.0 or np.std(b) == 0.0:
         return None

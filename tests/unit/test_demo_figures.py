@@ -17,6 +17,11 @@ def test_sums_are_compared_by_level_by_course_and_by_swing() -> None:
     assert found["against it"] == pytest.approx({"ratio": 1.0, "correlation": -1.0, "fluctuation": 1.0})
 
 
+def test_a_garment_that_keeps_still_has_no_correlation() -> None:
+    full = np.array([1.0, 3.0, 2.0, 4.0])
+    assert compare_sums({FULL: full, FINAL: np.full(4, 2.0)})[FINAL]["correlation"] is None
+
+
 def test_more_curvature_is_brighter() -> None:
     pytest.importorskip("matplotlib")
     colours = curvature_colours(np.array([0.0, 15.0, 30.0, 60.0, 600.0], np.float32))
