@@ -170,6 +170,12 @@ class CoarseContact:
         """Let friction's anchors follow the vertices that slip."""
         self._launch_anchors(positions, self._all)
 
+    def launch_measure(self, positions: wp.array) -> None:
+        """Measure how far garments lie over each other, where :meth:`find` found them near each other."""
+        if self._pair_count:
+            inputs = [positions, self.frozen.pair_vertices, self._pairs]
+            self._launch(layers.measure_layer_gaps, self._pair_count, inputs, [self._pair_gap])
+
     def _launch_planes(self, motion: frame_steps.Motion, target: wp.array, clock: wp.array) -> None:
         margin = wp.float64(self.settings.thickness + NEAR)
         skin = [margin, self.body, self.points, self._lift]
@@ -195,14 +201,9 @@ class CoarseContact:
         gap = self.gap.numpy().astype(np.float64)
         return float(np.maximum(-(gap + self._lift.numpy()), 0.0).max())
 
-    def crossed(self, positions: wp.array) -> int:
-        """How many vertices of inner garments lie outside an outer one, as :meth:`find` found them near each other."""
-        if not self._pair_count:
-            return 0
-        gap = self._zeros(self._pair_count, wp.float32)
-        inputs = [positions, self.frozen.pair_vertices, self._pairs]
-        self._launch(layers.measure_layer_gaps, self._pair_count, inputs, [gap])
-        return int((gap.numpy() < 0.0).sum())
+    def crossed(self) -> int:
+        """How many vertices of inner garments lay outside an outer one when :meth:`launch_measure` ran last."""
+        return int((self._pair_gap.numpy() < 0.0).sum())
 
     def _find_candidates(self, positions: wp.array) -> None:
         self._facing.set_outward(self._outward)
@@ -234,6 +235,7 @@ class CoarseContact:
         capacity = max(self._pair_count, 1)
         hold_pairs(c, capacity, self._device)
         self.pair_energy, self.pair_force = self._zeros(capacity, wp.float64), self._zeros(capacity, wp.vec3)
+        self._pair_gap = self._zeros(capacity, wp.float32)
         c.pair_total = wp.array([self._pair_count], dtype=wp.int32, device=self._device)
         c.incident_start, c.incident_count = (self._zeros(self._count, wp.int32) for _ in range(2))
         if not self._pair_count:

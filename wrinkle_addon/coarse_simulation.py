@@ -232,6 +232,7 @@ class CoarseSimulation:
         frame = self._steps * PRE_ROLL_STEP
         for _ in range(round(self._pre_roll / frame)):
             self._advance(frame)
+        self._contact.launch_measure(self._motion.positions)
         self._show()
         return self._report(True, reason)
 
@@ -297,6 +298,7 @@ class CoarseSimulation:
         self._contact.take_found()
         for number in range(self._steps):
             self._launch_step(number)
+        self._contact.launch_measure(self._motion.positions)
         self._show()
         self._arrive()
 
@@ -344,8 +346,7 @@ class CoarseSimulation:
         self._launch(frame_steps.show_positions, [self._skin, self._strength, self._motion, self._shown])
 
     def _report(self, restarted: bool, reason: str) -> CoarseReport:
-        crossed = self._contact.crossed(self._motion.positions)
-        return CoarseReport(restarted, reason, self._contact.deepest(), crossed)
+        return CoarseReport(restarted, reason, self._contact.deepest(), self._contact.crossed())
 
     def _given(
         self, body_positions: ArrayLike, carried: Sequence[ArrayLike]

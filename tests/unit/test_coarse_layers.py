@@ -37,7 +37,8 @@ def test_layers_that_start_through_each_other_are_counted_and_go_on():
     found = []
     simulation._settle = lambda: (
         simulation._contact.find(simulation._motion.positions, simulation._skin),
-        found.append(simulation._contact.crossed(simulation._motion.positions)),
+        simulation._contact.launch_measure(simulation._motion.positions),
+        found.append(simulation._contact.crossed()),
         settle(),
     )
     report = simulation.start(arm, garments)

@@ -127,17 +127,17 @@ def _play_together(
     playing: list[_Playing], depsgraph: bpy.types.Depsgraph, errors: list[str], only_changes: bool
 ) -> None:
     """Play garments that do not wait for each other: what is computed, on any thread, all else on this one."""
-    turns: list[tuple[bpy.types.Object, Status, Player, Turn]] = []
+    begun: list[tuple[bpy.types.Object, Status, Player, Turn, Ahead]] = []
     for garment, known, player, pose in playing:
         with _falling_back(garment, known, errors):
             inner = _inner_garment(garment, depsgraph)
             turn = player.read(garment, pose, depsgraph, inner, only_changes=only_changes)
             known.plays = turn is None
             if turn is not None:
-                turns.append((garment, known, player, turn))
-    # The first one is this thread's own.
-    begun = [Ahead(turn.compute, kept=k == 0 or not player.on_cpu) for k, (*_, player, turn) in enumerate(turns)]
-    for (garment, known, player, turn), work in zip(turns, begun, strict=True):
+                # The last one is this thread's own.
+                kept = garment is playing[-1][0] or not player.on_cpu
+                begun.append((garment, known, player, turn, Ahead(turn.compute, kept=kept)))
+    for garment, known, player, turn, work in reversed(begun):
         with _falling_back(garment, known, errors):
             work.finish()
             player.show(garment, turn, depsgraph)
