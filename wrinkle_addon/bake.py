@@ -92,7 +92,7 @@ class BakeJob:
                 joints,
                 self.plan.mirror is not None,
                 asdict(self.settings),
-                *([sorted(sample.name for sample in left_out)] if (left_out := self.plan.left_out) else []),
+                *([sorted(sample.name for sample in self.plan.left_out)] if self.plan.left_out else []),
             ]
         )
 

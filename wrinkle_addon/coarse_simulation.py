@@ -214,6 +214,7 @@ class CoarseSimulation:
 
         It is known before the body sets out. The frame is the same to the bit without it.
         """
+        self._frame.prepare()  # While a frame is simulated, others are at work on it.
         if self._search is None and self._threads > 1:
             self._search = Ahead(self._find)
 

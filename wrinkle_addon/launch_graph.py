@@ -28,12 +28,16 @@ class LaunchGraph:
 
     def __call__(self) -> None:
         """Run the act."""
-        if self._graph is None:
-            self._graph = self._record()
+        self.prepare()
         if self._graph is None:
             self._act()
         else:
             wp.capture_launch(self._graph)
+
+    def prepare(self) -> None:
+        """Record the act if nobody else is at work, and do not run it; later acts may begin while others are."""
+        if self._graph is None:
+            self._graph = self._record()
 
     def _record(self) -> wp.Graph | None:
         for module in self._modules:

@@ -51,7 +51,7 @@ class BlockSystem:
         self._elasticity = elasticity
         self._contact = contact
         self._device = device
-        self._kind = "cuda" if device.is_cuda else "cpu"
+        self._chunk_size = RECORDED_ITERATIONS["cuda" if device.is_cuda else "cpu"]
 
         def upload(values: np.ndarray, dtype: type) -> wp.array:
             return wp.array(values, dtype=dtype, device=device)
@@ -160,7 +160,7 @@ class BlockSystem:
         _launcher(self._device)(linear.start, self.shape, [gradient, self._inverse], outputs)
         self._begin(moving)
         chunk = self._chunk(tolerance, max_iterations)
-        for _ in range(0, max_iterations, RECORDED_ITERATIONS[self._kind]):
+        for _ in range(0, max_iterations, self._chunk_size):
             chunk()
             if not self._active.numpy().any():
                 break
@@ -259,7 +259,7 @@ class BlockSystem:
         """Some iterations, recorded once a tolerance: replaying costs a fraction of launching."""
 
         def iterations() -> None:
-            for _ in range(RECORDED_ITERATIONS[self._kind]):
+            for _ in range(self._chunk_size):
                 self._iterate(tolerance, max_iterations)
 
         key = tolerance, max_iterations

@@ -65,6 +65,15 @@ def test_nothing_is_recorded_while_another_thread_is_at_work():
     assert [chain.through(value)[0] for value in (3.0, 4.0)] == [3.0, 4.0] and chain.runs == 3
 
 
+def test_what_was_prepared_is_replayed_while_another_thread_is_at_work():
+    chain = Chain()
+    chain.arrays[0].fill_(7.0)
+    chain.graph.prepare()
+    assert chain.runs == 1 and not chain.arrays[-1].numpy().any()
+    with another_thread_at_work():
+        assert chain.through(8.0)[0] == 8.0 and chain.runs == 1
+
+
 def test_nobody_begins_to_work_while_one_is_alone():
     begun = threading.Event()
 
