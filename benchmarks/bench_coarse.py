@@ -91,7 +91,7 @@ def measure_stages(simulation: CoarseSimulation, body: np.ndarray, skin: np.ndar
     contact, system, motion = simulation._contact, simulation._system, simulation._motion
     positions, steps, clock = motion.positions, simulation._steps, simulation._clock[0]
     stages: dict[str, tuple[int, Callable[[], Any]]] = {
-        "search of the body": (1, lambda: contact.find(positions, simulation._skin)),
+        "search of the body": (1, contact.find),
         "body's normals, input": (1, lambda: (simulation._given(body[-1], [skin[-1]]), contact.move_body(body[-1]))),
     }
     recorded = {
@@ -99,7 +99,7 @@ def measure_stages(simulation: CoarseSimulation, body: np.ndarray, skin: np.ndar
         "contact": lambda: (
             contact.launch_freeze(motion, clock),
             contact.launch_expel(motion, clock),
-            contact.launch_follow(positions),
+            contact.launch_follow(),
         ),
         "forces": simulation._launch_gradient,
         "matrix": lambda: (

@@ -29,7 +29,7 @@ from outfit import SHELL, Outfit, dress, make_plan, write_database
 from wrinkle_synthesis.wrinkle_addon.database import WrinkleDatabase
 from wrinkle_synthesis.wrinkle_addon.joint_wrinkles import Formulation, JointWrinkles, corner_nodes, find_cell
 from wrinkle_synthesis.wrinkle_addon.method import LEAST_SPLIT, Evaluator
-from wrinkle_synthesis.wrinkle_addon.rig import Pose
+from wrinkle_synthesis.wrinkle_addon.rig import Pose, joint_angles
 from wrinkle_synthesis.wrinkle_addon.threads import THREADS
 
 VERTICES, FRAMES, PASSES = 46_500, 12, 8
@@ -44,7 +44,7 @@ def touched_bytes(method: JointWrinkles, pose: Pose) -> int:
     count = method.vertex_count
     used = int((header.garment.weights.weights > 0.0).sum())
     total = count * (VECTOR + WORD + VECTOR) + used * 2 * WORD
-    turns = pose.turns(header.rig)
+    angles = joint_angles(header.rig, header.joints, pose)
     for grid in header.plan.grids:
         name = grid.joint.name
         moved = np.zeros(count, bool)
@@ -52,7 +52,7 @@ def touched_bytes(method: JointWrinkles, pose: Pose) -> int:
             if sample.joint == name:
                 moved[stored.vertices] = True
         entries = int((moved & (method.window(name) > 0.0)).sum())
-        nodes = corner_nodes(find_cell(grid, grid.joint.angles(header.rig, turns)))
+        nodes = corner_nodes(find_cell(grid, angles[name]))
         corners = sum(weight > 0.0 and node != grid.rest for node, weight in nodes)
         total += entries * (3 * WORD + corners * VECTOR)
     return total

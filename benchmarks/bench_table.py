@@ -36,6 +36,7 @@ from wrinkle_synthesis.wrinkle_addon.blender.character import sampling_stage
 from wrinkle_synthesis.wrinkle_addon.blender.coarse_setup import make_coarse
 from wrinkle_synthesis.wrinkle_addon.blender.setup import setup_garment, stage_job
 from wrinkle_synthesis.wrinkle_addon.coarse_cache import CoarseCache
+from wrinkle_synthesis.wrinkle_addon.coarse_contact import CoarseContact
 from wrinkle_synthesis.wrinkle_addon.coarse_simulation import CoarseSimulation
 from wrinkle_synthesis.wrinkle_addon.joint_wrinkles import OffsetEvaluator
 from wrinkle_synthesis.wrinkle_addon.joints import find_joints
@@ -274,7 +275,7 @@ def main() -> None:
     stopwatch.watch(CLEARANCE, clearance.BodyClearance, "move")
     stopwatch.watch(CLEARANCE, clearance.BodyClearance, "clear")
     stopwatch.watch(COARSE, CoarseSimulation, "step")
-    stopwatch.watch(COARSE, CoarseSimulation, "_find")
+    stopwatch.watch(COARSE, CoarseContact, "find")
     stopwatch.watch(CACHE, CoarseCache, "read")
     stopwatch.watch(CACHE, CoarseCache, "_store")
     names = ["man"] if quick else list(SEQUENCES)

@@ -17,7 +17,7 @@ from wrinkle_synthesis.wrinkle_addon.blender.setup import bind_to_armature
 from wrinkle_synthesis.wrinkle_addon.database import skin_frame
 from wrinkle_synthesis.wrinkle_addon.garment import Body, bind_to_surface
 from wrinkle_synthesis.wrinkle_addon.plan import JointGrid, Sample, SamplePlan
-from wrinkle_synthesis.wrinkle_addon.rig import FloatArray, Joint, Pose, Rig, pose_of_angles
+from wrinkle_synthesis.wrinkle_addon.rig import FloatArray, Joint, Pose, Rig, joint_angles, pose_of_angles
 from wrinkle_synthesis.wrinkle_addon.wearer import BakeSettings
 
 LENGTH, RADIUS = 0.6, 0.05
@@ -81,10 +81,10 @@ class Bumps:
         """What playing must give in any pose inside the plan, in rig space [m], shape [vertex_count, 3]."""
         garment, rig = self.job.garment, self.job.rig
         skinned, turns = skin_frame(rig, garment.weights, self.rest().positions, pose)
-        bone_turns = pose.turns(rig)
+        angles = joint_angles(rig, self.job.header.joints, pose)
         offsets = []
         for joint in self.job.header.joints:
-            amount = joint.angles(rig, bone_turns) @ [1.0, 2.0, -1.0][: joint.dof]
+            amount = angles[joint.name] @ [1.0, 2.0, -1.0][: joint.dof]
             offsets.append((strength or {}).get(joint.name, 1.0) * amount * self._bump(joint))
         return skinned + rotations.rotate(turns, joined(np.stack(offsets)))
 

@@ -11,6 +11,8 @@ the body, so that its faces cut through what bulges and float over what is hollo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 from .cloth_model import FloatArray, IntArray
 from .coarse_mesh import make_coarse_mesh
 from .garment import Body, bind_to_surface
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 VERTEX_COUNT = 10_000
 """Vertices of a proxy where nothing else is asked for; the paper's has 11,000 and 20,000 triangles (W42)."""
@@ -39,10 +44,17 @@ class BodyProxy:
 
     def carry(self, positions: ArrayLike) -> NDArray[np.float32]:
         """The proxy where the body is [m], shape [proxy_vertex_count, 3], from [body_vertex_count, 3]."""
-        points = np.asarray(positions, np.float32)
-        # Corner by corner, which takes a fifth of the time of all three at once.
-        first, second, third = (self.weights[:, k, None] * points.take(self.corners[:, k], axis=0) for k in range(3))
-        return first + second + third
+        carrying, reach = self._carrying
+        return carrying @ np.ascontiguousarray(positions, np.float32)[:reach]
+
+    @cached_property
+    def _carrying(self) -> tuple[sparse.csr_array, int]:
+        """What takes the body's first vertices to the proxy's, and how many of them that is."""
+        from scipy import sparse
+
+        count, reach = len(self.corners), int(self.corners.max()) + 1
+        entries = self.weights.ravel(), self.corners.ravel(), 3 * np.arange(count + 1)
+        return sparse.csr_array(entries, shape=(count, reach)), reach
 
     def of_body(self, body: Body) -> Body:
         """The proxy as a body of its own, with the body's skin weights: what tells its limbs apart."""

@@ -87,7 +87,7 @@ class CoarseHistory:
     def advance(self, scene: SceneFrame, *, keep_state: bool = False) -> Mapping[str, Any]:
         """Simulate a frame that :meth:`follows`, and put it into the cache in place of what lies there and after it.
 
-        Its file is written behind.
+        Its file is written by the cache's next ``write_behind`` or ``flush``.
 
         Args:
             scene: What drives it.

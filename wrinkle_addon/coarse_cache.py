@@ -133,6 +133,8 @@ class CoarseCache:
     last: int
     _newest: tuple[int, CoarseFrame] | None = None
     """The frame that was added last: played as it is simulated, a frame is read at once, by every garment."""
+    _unwritten: bool = False
+    """Whether nobody has begun to write it."""
     _writing: Future[None] | None = None
     """Comes to an end when it is in its file."""
 
@@ -267,7 +269,7 @@ class CoarseCache:
     # --- writing --------------------------------------------------------------------------------------------------
 
     def write(self, frame: int, content: CoarseFrame) -> None:
-        """Add the frame after the last one; its file is written behind, until :meth:`flush` comes back.
+        """Add the frame after the last one; :meth:`flush` puts it into its file, or :meth:`write_behind` begins to.
 
         Raises:
             StorageError: If the one before it cannot be written.
@@ -275,8 +277,13 @@ class CoarseCache:
         if frame != self.last + 1:
             raise ValueError(f"After frame {self.last} comes frame {self.last + 1}, not {frame}.")
         self.flush()
-        self.last, self._newest = frame, (frame, content)
-        self._writing = _writer.submit(self._store, frame, content)
+        self.last, self._newest, self._unwritten = frame, (frame, content), True
+
+    def write_behind(self) -> None:
+        """Begin to write the frame that was added last, on another thread, until :meth:`flush` comes back."""
+        if self._unwritten and self._newest is not None:
+            self._unwritten = False
+            self._writing = _writer.submit(self._store, *self._newest)
 
     def flush(self) -> None:
         """Come back when every frame is in its file.
@@ -284,6 +291,7 @@ class CoarseCache:
         Raises:
             StorageError: If the last one cannot be written; then it is not there.
         """
+        self.write_behind()
         writing, self._writing = self._writing, None
         if writing is None:
             return

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from ..kernels.cloth import assembly, body_surface, contact, frame_steps, layers
+from ..kernels.cloth import assembly, body_surface, contact, facing, frame_steps, layers
 from ..kernels.cloth.touched_walls import ContactPlanes
 from .cloth_contact import (
     ContactSettings,
@@ -23,12 +22,15 @@ from .cloth_contact import (
 )
 from .cloth_model import ClothModel, FloatArray, IntArray
 from .facing import Facing
+from .launch_graph import LaunchGraph
 from .threads import THREADS, run_side_by_side
 from .topology import faces_around
 
 NEAR = 0.02
 """How far above where contact begins a vertex that comes nearer still looks for its plane [m]."""
 ALL_LIMBS = 2**31 - 1
+SEARCH_MODULES = (body_surface, facing, frame_steps, layers)
+"""Modules of kernels that a search launches."""
 EXPELLED_DEPTH = 0.001
 """A vertex that ends a step deeper than this under where contact holds it is put back there [m] ..."""
 EXPELLED_STEP = 0.01
@@ -44,6 +46,8 @@ class CoarseContact:
         lift: How far off the skin each vertex's contact planes lie [m], shape [vertex_count].
         limbs: For each garment, which parts of the body it may touch; None lets it touch all.
         body_faces, body_positions: The body, shapes [m, 3] and [n, 3] [m].
+        positions: Where the vertices are, float64 [m], shape [1, vertex_count].
+        skin: The path of the skinned garment.
 
     Attributes:
         frozen: What the last search found, as the kernels read it.
@@ -65,12 +69,15 @@ class CoarseContact:
         limbs: Sequence[Limbs | None],
         body_faces: IntArray,
         body_positions: FloatArray,
-        device: Any,
+        positions: wp.array,
+        skin: frame_steps.Path,
     ):
+        device = positions.device
         self.settings = settings
         self._device = device
         self._threads = THREADS if device.is_cpu else 1
         self._model = model
+        self._positions, self._skin = positions, skin
         self._count = model.vertex_count
         self._lift = self._upload(lift, wp.float64)
         self._faces = self._upload(model.faces, wp.int32)
@@ -98,6 +105,9 @@ class CoarseContact:
         self.ahead, self.touching = self._zeros((1, self._count), wp.vec3d), self._zeros(self._count, wp.int32)
         self._none, self._all = self._zeros(1, wp.int32), wp.ones(1, dtype=wp.int32, device=device)
         self._make_pairs()
+        acts = self._launch_back, self._launch_candidate_search, self._launch_pair_search
+        recorded = (LaunchGraph(act, SEARCH_MODULES, device) for act in acts)
+        self._going_back, self._candidate_search, self._pair_search = recorded
 
     def forget(self) -> None:
         """Let go of every friction anchor, and of what was near."""
@@ -116,22 +126,26 @@ class CoarseContact:
         arrive(self.points)
         arrive(self.normals)
 
-    def find(self, positions: wp.array, skin: frame_steps.Path) -> None:
-        """Look for what is near at the beginning of a frame (float64 [m], [1, vertex_count]): once for all its steps.
+    def find(self) -> None:
+        """Look for what is near at the beginning of a frame: once for all its steps.
 
         The skinned garment tells where a vertex's outside is, or the garment itself where it has turned away from it.
         Only :meth:`take_found` lets it count; until then nothing that outlives a frame is touched, so that it may go on
         on another thread.
         """
-        for here, path in ((self.body.points, self.points), (self.body.normals, self.normals)):
-            wp.copy(here, path.last.reshape(here.shape))
+        self._going_back()
         self._body_meshes[0].refit()
-        last = skin.last.reshape((1, self._count))
-        self._launch_normals(last, self._faces, self._around, self._face_normals, self._outward)
-        searches = [partial(self._find_candidates, positions)]
+        searches: list[Callable[[], None]] = [self._candidate_search]
         if self._pair_count:
-            searches.append(partial(self._find_pairs, positions))
+            searches.append(self._find_pairs)
         run_side_by_side(searches, self._threads)
+
+    def prepare(self) -> None:
+        """Record what :meth:`find` launches; see :meth:`LaunchGraph.prepare`."""
+        self._going_back.prepare()
+        self._candidate_search.prepare()
+        if self._pair_count:
+            self._pair_search.prepare()
 
     def take_found(self) -> None:
         """Let what was found last count from now on."""
@@ -150,7 +164,7 @@ class CoarseContact:
         self._launch_planes(motion, target, clock)
         inputs = [positions, target, self._area, self._laws[0], self.planes]
         self._launch(frame_steps.anticipate_contact, self._count, inputs, [self.ahead, self.touching])
-        self._launch_anchors(positions, self._none)
+        self._launch_anchors(self._none)
         inputs = [target, self.planes, self._mass, clock, wp.float64(self.settings.slip)]
         self._launch(frame_steps.linearise_friction, self._count, inputs, [c.anchor, c.friction_bound])
         if self._pair_count:
@@ -166,14 +180,14 @@ class CoarseContact:
         lengths = [wp.float64(length) for length in (EXPELLED_DEPTH, self.settings.depth, EXPELLED_STEP)]
         self._launch(frame_steps.expel_vertices, self._count, [self.planes, *lengths, motion], [self.gap])
 
-    def launch_follow(self, positions: wp.array) -> None:
+    def launch_follow(self) -> None:
         """Let friction's anchors follow the vertices that slip."""
-        self._launch_anchors(positions, self._all)
+        self._launch_anchors(self._all)
 
-    def launch_measure(self, positions: wp.array) -> None:
+    def launch_measure(self) -> None:
         """Measure how far garments lie over each other, where :meth:`find` found them near each other."""
         if self._pair_count:
-            inputs = [positions, self.frozen.pair_vertices, self._pairs]
+            inputs = [self._positions, self.frozen.pair_vertices, self._pairs]
             self._launch(layers.measure_layer_gaps, self._pair_count, inputs, [self._pair_gap])
 
     def _launch_planes(self, motion: frame_steps.Motion, target: wp.array, clock: wp.array) -> None:
@@ -182,14 +196,14 @@ class CoarseContact:
         inputs = [motion, target, self.gap, clock, *skin, self.candidate, self.planes]
         self._launch(frame_steps.follow_planes, self._count, inputs, [])
 
-    def _launch_anchors(self, positions: wp.array, following: wp.array) -> None:
+    def _launch_anchors(self, following: wp.array) -> None:
         c, width = self.frozen, int(frame_steps.PLANES)
         for part, law in zip(self._model.parts, self._laws, strict=True):
             rows = slice(width * part.vertices.start, width * part.vertices.stop)
             planes = ContactPlanes()
             for name in ContactPlanes.vars:
                 setattr(planes, name, getattr(self.planes, name)[:, rows])
-            inputs = [positions[:, part.vertices], self._area[part.vertices], self.body, planes, law, following]
+            inputs = [self._positions[:, part.vertices], self._area[part.vertices], self.body, planes, law, following]
             found = [values[:, rows] for values in (self.anchor_face, self.anchor_weights, c.anchor, c.friction_bound)]
             count = part.vertices.stop - part.vertices.start
             self._launch(contact.update_anchors, (1, count), inputs, found)
@@ -205,22 +219,33 @@ class CoarseContact:
         """How many vertices of inner garments lay outside an outer one when :meth:`launch_measure` ran last."""
         return int((self._pair_gap.numpy() < 0.0).sum())
 
-    def _find_candidates(self, positions: wp.array) -> None:
+    def _launch_back(self) -> None:
+        """Body and garments are where the last frame left them."""
+        for here, path in ((self.body.points, self.points), (self.body.normals, self.normals)):
+            wp.copy(here, path.last.reshape(here.shape))
+        last = self._skin.last.reshape((1, self._count))
+        self._launch_normals(last, self._faces, self._around, self._face_normals, self._outward)
+        if self._pair_count:
+            self._launch(layers.round_points, self._count, [self._positions], [self._points])
+
+    def _launch_candidate_search(self) -> None:
         self._facing.set_outward(self._outward)
-        self._facing.turn(positions)
+        self._facing.turn(self._positions)
         for kept, found in zip((self.found_from, self.candidate, self.gap), self._found, strict=True):
             wp.copy(found, kept)
-        inputs = [positions, self._facing.directions, self._limbs, self.body, self.points, self._reach, self._lift]
+        skin = [self._limbs, self.body, self.points, self._reach, self._lift]
+        inputs = [self._positions, self._facing.directions, *skin]
         self._launch(frame_steps.find_candidates, self._count, inputs, self._found)
 
-    def _find_pairs(self, positions: wp.array) -> None:
-        c = self.frozen
-        self._launch(layers.round_points, self._count, [positions], [self._points])
+    def _launch_pair_search(self) -> None:
+        inputs = [self._points, self._outward, self._faces, self._layer_ids, self._first_face, self.settings.radius]
+        self._launch(layers.find_layer_pairs, self._pair_count, inputs, [self._pairs, self.frozen.pair_vertices])
+
+    def _find_pairs(self) -> None:
         for mesh in self._layer_meshes:
             mesh.refit()
-        inputs = [self._points, self._outward, self._faces, self._layer_ids, self._first_face, self.settings.radius]
-        self._launch(layers.find_layer_pairs, self._pair_count, inputs, [self._pairs, c.pair_vertices])
-        list_incident(c)
+        self._pair_search()
+        list_incident(self.frozen)
 
     def _make_pairs(self) -> None:
         c, parts = self.frozen, self._model.parts
@@ -243,6 +268,7 @@ class CoarseContact:
         pairs = layers.LayerPairs()
         pairs.vertex, pairs.layer = self._upload(vertex, wp.int32), self._upload(layer, wp.int32)
         pairs.face = self._zeros(self._pair_count, wp.int32)
+        pairs.closest = wp.full(self._pair_count, -1, dtype=wp.int32, device=self._device)
         pairs.area = self._upload(self._model.area[vertex], wp.float64)
         self._pairs = pairs
         self._points = self._zeros((1, self._count), wp.vec3)

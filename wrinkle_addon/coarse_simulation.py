@@ -113,15 +113,14 @@ class CoarseSimulation:
         lift = self._per_vertex([one.buffer - thickness for one in settings])
         contact_settings = ContactSettings(thickness=thickness, depth=DEPTH, radius=RADIUS, self_thickness=LAYER_GAP)
         limbs = [layer.limbs for layer in self.layers]
-        self._contact = CoarseContact(
-            self.model, contact_settings, lift, limbs, body_faces, body_positions, self.device
-        )
+        self._allocate()
+        motion = self._motion.positions, self._skin
+        self._contact = CoarseContact(self.model, contact_settings, lift, limbs, body_faces, body_positions, *motion)
         self._garment = upload_garment(self.model, np.zeros(self.model.vertex_count), self.device)
         self._elasticity = Elasticity(self.model, self._garment, 1)
         self._system = BlockSystem(
             self.model, self._garment, self._elasticity, self._contact.frozen, 1, corrected=False
         )
-        self._allocate()
         self._step = LaunchGraph(partial(self._launch_step, 0), MODULES, self.device)
         self._frame = LaunchGraph(self._launch_frame, MODULES, self.device)
         self._search: Ahead | None = None
@@ -214,9 +213,10 @@ class CoarseSimulation:
 
         It is known before the body sets out. The frame is the same to the bit without it.
         """
-        self._frame.prepare()  # While a frame is simulated, others are at work on it.
+        for recorded in (self._frame, self._contact):  # While a frame is simulated, others are at work on it.
+            recorded.prepare()
         if self._search is None and self._threads > 1:
-            self._search = Ahead(self._find)
+            self._search = Ahead(self._contact.find)
 
     # Inner workings
 
@@ -233,7 +233,7 @@ class CoarseSimulation:
         frame = self._steps * PRE_ROLL_STEP
         for _ in range(round(self._pre_roll / frame)):
             self._advance(frame)
-        self._contact.launch_measure(self._motion.positions)
+        self._contact.launch_measure()
         self._show()
         return self._report(True, reason)
 
@@ -243,7 +243,7 @@ class CoarseSimulation:
         self._elasticity.set_damping_rate(0.0)
         for _ in range(SETTLE_STEPS):
             before = self._motion.positions.numpy().copy()
-            self._find()
+            self._contact.find()
             self._contact.take_found()
             self._set_clock([[SETTLE_SPAN, -1.0, 0.0, SETTLE_SPAN, 1.0, 1.0]])
             self._step()
@@ -258,7 +258,7 @@ class CoarseSimulation:
 
     def _advance(self, dt: float) -> None:
         """The steps of a frame of ``dt`` [s]."""
-        search, self._search = self._search or Ahead(self._find, kept=True), None
+        search, self._search = self._search or Ahead(self._contact.find, kept=True), None
         search.finish()
         length = dt / self._steps
         self._elasticity.set_damping_rate(1.0 / length)
@@ -274,9 +274,6 @@ class CoarseSimulation:
     def _set_clock(self, clocks: list[list[float]]) -> None:
         """The clock of each coming step, as :mod:`..kernels.cloth.frame_steps` reads it."""
         self._clock[: len(clocks)].assign(np.array(clocks))
-
-    def _find(self) -> None:
-        self._contact.find(self._motion.positions, self._skin)
 
     def _forget_search(self) -> None:
         """What was begun is of another motion than what comes."""
@@ -299,7 +296,7 @@ class CoarseSimulation:
         self._contact.take_found()
         for number in range(self._steps):
             self._launch_step(number)
-        self._contact.launch_measure(self._motion.positions)
+        self._contact.launch_measure()
         self._show()
         self._arrive()
 
@@ -321,7 +318,7 @@ class CoarseSimulation:
         self._launch(frame_steps.move_vertices, [system.solution, wp.float64(LONGEST_STEP), positions])
         self._launch(frame_steps.end_step, [clock, contact_.touching, contact_.planes, motion])
         contact_.launch_expel(motion, clock)
-        contact_.launch_follow(positions)
+        contact_.launch_follow()
 
     def _launch_gradient(self) -> None:
         motion, elasticity = self._motion, self._elasticity

@@ -29,7 +29,7 @@ from .garment import SkinWeights, distances_to_segments
 from .influence import influence_shares, influence_windows, measure_influence, smoothed_influence
 from .method import BLOCK_SIZE, Evaluator, Method, SplitLaunch
 from .plan import JointGrid, Sample
-from .rig import FloatArray, Pose, pose_of_angles
+from .rig import FloatArray, JointAngles, Pose, pose_of_angles
 from .topology import group
 
 WINDOW_START, WINDOW_END = 0.5, 0.8
@@ -177,6 +177,7 @@ class JointEvaluator(Evaluator):
         self._grids = header.plan.grids
         self._rig = header.rig
         self._joints = header.joints
+        self._angles = JointAngles(header.rig, [grid.joint for grid in self._grids])
         self._vertex_count = header.garment.vertex_count
         self._skin = upload_skin(method.database.rest, header.garment.weights, device)
         joints, bones = len(self._grids), header.rig.bone_count
@@ -224,8 +225,8 @@ class JointEvaluator(Evaluator):
         self._turns.host[:] = turns[:, [1, 2, 3, 0]]
         cells = []
         self.clamped.clear()
-        for number, grid in enumerate(self._grids):
-            cell = find_cell(grid, grid.joint.angles(self._rig, turns))
+        for number, (grid, angles) in enumerate(zip(self._grids, self._angles.read(turns), strict=True)):
+            cell = find_cell(grid, angles)
             cells.append(cell)
             if cell.beyond.any():
                 self.clamped[grid.joint.name] = cell.beyond
@@ -287,8 +288,8 @@ class OffsetEvaluator(JointEvaluator):
         samples.offsets = wp.array(np.concatenate(data or [np.zeros((0, 3))]), dtype=wp.vec3, device=device)
         self._samples = samples
         self._mesh_of_joint = HostArray((joints,), wp.int32, device)
+        self._split = SplitLaunch(self._vertex_count, device, block_size)
         self._make_room(1)
-        self._launch = SplitLaunch(self._vertex_count, device, block_size)
 
     def evaluate(
         self,
@@ -317,6 +318,17 @@ class OffsetEvaluator(JointEvaluator):
         self._sums = Sums()
         self._sums.total = wp.zeros(shape, dtype=wp.vec3, device=self._device)
         self._sums.largest = wp.zeros(shape, dtype=wp.float32, device=self._device)
+        posed = [
+            self._matrices,
+            self._turns,
+            self._corner_start,
+            self._corner_weight,
+            self._strength,
+            self._mesh_of_joint,
+            self._placement,
+        ]
+        inputs = [self._skin, self._samples, *(array.device for array in posed)]
+        self._launch = self._split.record(blend_offsets, inputs, [self._sums, self._sums.total])
 
     def _evaluate(
         self, pose: Pose, meshes: wp.array, strength: Mapping[str, float] | float, placement: FloatArray | None
@@ -337,21 +349,7 @@ class OffsetEvaluator(JointEvaluator):
         self._corner_start.upload()
         self._corner_weight.upload()
         self._mesh_of_joint.upload()
-        self._launch(
-            blend_offsets,
-            [
-                self._skin,
-                self._samples,
-                self._matrices.device,
-                self._turns.device,
-                self._corner_start.device,
-                self._corner_weight.device,
-                self._strength.device,
-                self._mesh_of_joint.device,
-                self._placement.device,
-            ],
-            [self._sums, meshes],
-        )
+        self._launch({"positions": meshes})
 
 
 class PaperEvaluator(JointEvaluator):

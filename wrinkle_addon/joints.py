@@ -173,7 +173,7 @@ def ranges_from_poses(
 def _fitted(rig: Rig, joint: Joint, turns: FloatArray, margin: float) -> Joint:
     near = turns[:, rig.index[joint.near]] if joint.near else np.array([1.0, 0.0, 0.0, 0.0])
     relative = rotations.multiply(rotations.conjugate(near), turns[:, rig.index[joint.far]])
-    angles = np.stack([joint.angles_of_turn(turn) for turn in relative])
+    angles = joint.angles_of_turn(relative)
     low, high = angles.min(0) - margin, angles.max(0) + margin
     limits = np.stack([np.minimum(low, 0.0), np.maximum(high, 0.0)], axis=1)
     if joint.dof == 3:

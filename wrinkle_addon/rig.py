@@ -242,22 +242,10 @@ class Joint:
         twist = rotations.from_rotvec(values[0] * self.axes[0])
         return rotations.multiply(swing, twist)
 
-    def angles_of_turn(self, turn: ArrayLike) -> FloatArray:
-        """Inverse of :meth:`turn`: swing-twist split and log map, free of Euler gimbals (X16), shape [dof]."""
-        quaternion = np.asarray(turn, np.float64)
-        if self.is_hinge:
-            return np.array([rotations.twist_angle(quaternion, self.axes[0])])
-        twist_angle = rotations.twist_angle(quaternion, self.axes[0])
-        twist = rotations.from_rotvec(twist_angle * self.axes[0])
-        swing = rotations.to_rotvec(rotations.multiply(quaternion, rotations.conjugate(twist)))
-        return np.array([twist_angle, swing @ self.axes[1], swing @ self.axes[2]])
-
-    def angles(self, rig: Rig, turns: FloatArray) -> FloatArray:
-        """The joint's angles [rad] when bones have these turns (:meth:`Pose.turns`), shape [dof]."""
-        far = turns[rig.index[self.far]]
-        if self.near:
-            far = rotations.multiply(rotations.conjugate(turns[rig.index[self.near]]), far)
-        return self.angles_of_turn(far)
+    def angles_of_turn(self, turns: ArrayLike) -> FloatArray:
+        """Inverse of :meth:`turn`, shape [..., 4] to [..., dof]."""
+        axes = np.concatenate([self.axes, np.zeros((3 - self.dof, 3))])
+        return swing_twist_angles(np.asarray(turns, np.float64), axes)[..., : self.dof]
 
     def bone_turns(self, angles: ArrayLike) -> FloatArray:
         """Local turn of each of the joint's bones at these angles (w, x, y, z), shape [len(bones), 4].
@@ -281,6 +269,43 @@ class Joint:
         return np.stack(turns)
 
 
+def swing_twist_angles(turns: FloatArray, axes: FloatArray) -> FloatArray:
+    """Angles [rad] of twist and two swings about axes [..., 3, 3] that turns [..., 4] consist of, shape [..., 3].
+
+    A swing-twist split and a log map, free of Euler gimbals (X16).
+    """
+    about = axes[..., 0, :]
+    twist = rotations.twist_angle(turns, about)
+    untwisted = rotations.conjugate(rotations.from_rotvec(twist[..., None] * about))
+    swing = rotations.to_rotvec(rotations.multiply(turns, untwisted))
+    return np.concatenate([twist[..., None], (axes[..., 1:, :] * swing[..., None, :]).sum(-1)], axis=-1)
+
+
+class JointAngles:
+    """The angles of many joints of one rig, read at once: in a fraction of the time that one by one takes.
+
+    Args:
+        rig: The rig.
+        joints: Joints of it.
+    """
+
+    def __init__(self, rig: Rig, joints: Sequence[Joint]):
+        self._dof = [joint.dof for joint in joints]
+        # A joint without a near bone is turned against a bone that never turns, past the last one.
+        self._near = [rig.index[joint.near] if joint.near else rig.bone_count for joint in joints]
+        self._far = [rig.index[joint.far] for joint in joints]
+        self._axes = np.zeros((len(joints), 3, 3))
+        for number, joint in enumerate(joints):
+            self._axes[number, : joint.dof] = joint.axes
+
+    def read(self, turns: FloatArray) -> list[FloatArray]:
+        """Angles of every joint [rad], shape [dof] each, when bones have these turns, shape [bone_count, 4]."""
+        known = np.concatenate([turns, [[1.0, 0.0, 0.0, 0.0]]])
+        relative = rotations.multiply(rotations.conjugate(known[self._near]), known[self._far])
+        angles = swing_twist_angles(relative, self._axes)
+        return [of_joint[:dof] for of_joint, dof in zip(angles, self._dof, strict=True)]
+
+
 def pose_of_angles(rig: Rig, joints: Sequence[Joint], angles: Mapping[str, ArrayLike]) -> Pose:
     """The pose in which the named joints have these angles [rad] and everything else rests.
 
@@ -298,5 +323,5 @@ def pose_of_angles(rig: Rig, joints: Sequence[Joint], angles: Mapping[str, Array
 
 def joint_angles(rig: Rig, joints: Sequence[Joint], pose: Pose) -> dict[str, FloatArray]:
     """Angles of every joint in a pose [rad]."""
-    turns = pose.turns(rig)
-    return {joint.name: joint.angles(rig, turns) for joint in joints}
+    angles = JointAngles(rig, joints).read(pose.turns(rig))
+    return {joint.name: values for joint, values in zip(joints, angles, strict=True)}

@@ -74,6 +74,18 @@ def triangle_point(
 
 
 @wp.func
+def closest_point_of_face(
+    points: wp.array2d[wp.vec3], faces: wp.array2d[wp.int32], world: wp.int32, face: wp.int32, p: wp.vec3
+):
+    """Coordinates of the closest point of a triangle to p, and how far away it is [m]."""
+    a = points[world, faces[face, 0]]
+    b = points[world, faces[face, 1]]
+    c = points[world, faces[face, 2]]
+    w = closest_point_on_triangle(p, a, b, c)
+    return w, wp.length(p - triangle_point(points, faces, world, face, w))
+
+
+@wp.func
 def face_direction(
     points: wp.array2d[wp.vec3], faces: wp.array2d[wp.int32], world: wp.int32, face: wp.int32
 ) -> wp.vec3:

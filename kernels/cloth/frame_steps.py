@@ -8,7 +8,7 @@ lie in one small array, the clock: the launches of a step are recorded once and 
 
 import warp as wp
 
-from .body_surface import closest_point_on_triangle, face_direction, triangle_point
+from .body_surface import closest_point_of_face, face_direction
 from .contact import ContactLaw, contact_curvature
 from .contact_planes import (
     NOWHERE,
@@ -309,13 +309,8 @@ def nearer_around(body: BodySurface, p: wp.vec3, start: wp.int32, pivot: wp.int3
 @wp.func
 def approach(body: BodySurface, p: wp.vec3, face: wp.int32):
     """Coordinates of the closest point of a triangle of the body to p, and how far away it is [m]."""
-    w = closest_point_on_triangle(
-        p,
-        body.points[0, body.faces[face, 0]],
-        body.points[0, body.faces[face, 1]],
-        body.points[0, body.faces[face, 2]],
-    )
-    return w, wp.length(p - triangle_point(body.points, body.faces, 0, face, w))
+    w, away = closest_point_of_face(body.points, body.faces, 0, face, p)
+    return w, away
 
 
 @wp.func

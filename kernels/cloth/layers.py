@@ -8,12 +8,14 @@ garment over it, which pushes with no strength while it does not collide.
 
 import warp as wp
 
-from .body_surface import face_direction, plane_weights
+from .body_surface import closest_point_of_face, face_direction, plane_weights
 
 wp.set_module_options({"enable_backward": False})
 
 # Share of a triangle's size by which a vertex may slide off it within a frame.
 SLACK = wp.constant(0.1)
+# Of a distance [m].
+ROUNDING = wp.constant(1.0e-5)
 
 
 @wp.struct
@@ -24,12 +26,14 @@ class LayerPairs:
         vertex: The inner vertex.
         layer: The outer garment.
         face: Its closest triangle, -1 where the vertex does not project inside.
+        closest: Its closest triangle when that was looked for last, -1 where there was none.
         area: That the vertex stands for [m^2].
     """
 
     vertex: wp.array[wp.int32]
     layer: wp.array[wp.int32]
     face: wp.array[wp.int32]
+    closest: wp.array[wp.int32]
     area: wp.array[wp.float64]
 
 
@@ -54,7 +58,8 @@ def find_layer_pairs(
 ):
     """The outer triangle that each inner vertex lies under or over, within ``radius`` [m], facing as the vertex does.
 
-    ``meshes`` are the garments, whose triangles begin at ``first_face`` among all.
+    ``meshes`` are the garments, whose triangles begin at ``first_face`` among all. Nothing farther away than what was
+    closest in the search before needs to be looked at.
     """
     pair = wp.tid()
     vertex = pairs.vertex[pair]
@@ -62,10 +67,17 @@ def find_layer_pairs(
     p = points[0, vertex]
     pairs.face[pair] = -1
     vertices[pair] = wp.vec4i(vertex, vertex, vertex, vertex)
-    query = wp.mesh_query_point_no_sign(meshes[layer], p, radius)
+    held = pairs.closest[pair]
+    near = radius
+    if held >= 0:
+        _w, away = closest_point_of_face(points, faces, 0, held, p)
+        near = wp.min(radius, away + ROUNDING)
+    query = wp.mesh_query_point_no_sign(meshes[layer], p, near)
     if not query.result:
+        pairs.closest[pair] = -1
         return
     face = first_face[layer] + query.face
+    pairs.closest[pair] = face
     w = plane_weights(p, points[0, faces[face, 0]], points[0, faces[face, 1]], points[0, faces[face, 2]])
     if wp.min(w) < 0.0 or wp.dot(face_direction(points, faces, 0, face), outward[0, vertex]) <= 0.0:
         return

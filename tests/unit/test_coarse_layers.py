@@ -36,8 +36,8 @@ def test_layers_that_start_through_each_other_are_counted_and_go_on():
     settle = simulation._settle
     found = []
     simulation._settle = lambda: (
-        simulation._contact.find(simulation._motion.positions, simulation._skin),
-        simulation._contact.launch_measure(simulation._motion.positions),
+        simulation._contact.find(),
+        simulation._contact.launch_measure(),
         found.append(simulation._contact.crossed()),
         settle(),
     )
@@ -46,6 +46,34 @@ def test_layers_that_start_through_each_other_are_counted_and_go_on():
     # The outer sleeve is the narrower one, so some of the inner one stays outside for now.
     assert report.crossed < 0.5 * found[0]
     assert np.isfinite(simulation.positions[0]).all()
+
+
+def test_looking_ahead_changes_no_bit_of_layers():
+    plain, arm, garments = shirt_over_trousers(0.002)
+    eager, _, _ = shirt_over_trousers(0.002)
+    for simulation in (plain, eager):
+        simulation.start(arm, garments)
+    for angle in (0.1, 0.3, 0.2):
+        eager.look_ahead()
+        for simulation in (plain, eager):
+            simulation.step(turned(arm, angle), [turned(one, angle) for one in garments], FRAME)
+        for one, other in zip(plain.positions, eager.positions, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_what_was_closest_before_changes_nothing_that_is_found(device):
+    simulation, arm, garments = shirt_over_trousers(0.002, device)
+    simulation.start(arm, garments)
+    contact = simulation._contact
+    for angle in (0.2, 0.6, -0.3):
+        simulation.step(turned(arm, angle), [turned(one, angle) for one in garments], FRAME)
+        found = []
+        for forget in (lambda: None, lambda: contact._pairs.closest.fill_(-1)):
+            forget()
+            contact.find()
+            found.append(contact.frozen.pair_vertices.numpy().copy())
+        assert (found[0][:, 0] != found[0][:, 1]).sum() > 100
+        np.testing.assert_array_equal(*found)
 
 
 def test_any_number_of_threads_gives_the_same_bits(monkeypatch):

@@ -10,7 +10,7 @@ import skeletons
 from skeletons import human, nameless, rested, t_posed
 from wrinkle_synthesis.wrinkle_addon import rotations
 from wrinkle_synthesis.wrinkle_addon.joints import MOST_TWIST, find_joints, make_joint, ranges_from_poses, with_ranges
-from wrinkle_synthesis.wrinkle_addon.rig import Joint, Pose, Rig, joint_angles, pose_of_angles
+from wrinkle_synthesis.wrinkle_addon.rig import Joint, JointAngles, Pose, Rig, joint_angles, pose_of_angles
 
 BODIES = {"A-pose": human(), "T-pose": t_posed(human())}
 BIG = np.radians(40.0)
@@ -186,3 +186,15 @@ def test_any_bone_can_be_a_hinge() -> None:
 def test_a_joint_of_unknown_bones_is_refused() -> None:
     with pytest.raises(ValueError, match="the bone paw"):
         make_joint(human(), "wrist_L", "paw")
+
+
+def test_angles_of_many_joints_at_once_are_those_that_made_the_pose() -> None:
+    rig = human()
+    joints = find_joints(rig).found
+    assert {joint.dof for joint in joints} == {1, 3}
+    rng = np.random.default_rng(4)
+    wanted = {joint.name: rng.uniform(-0.6, 0.6, joint.dof) for joint in joints}
+    found = JointAngles(rig, joints).read(pose_of_angles(rig, joints, wanted).turns(rig))
+    for joint, angles in zip(joints, found, strict=True):
+        # Rounding of float64, through two quaternion products and an arc tangent.
+        np.testing.assert_allclose(angles, wanted[joint.name], atol=1e-12)

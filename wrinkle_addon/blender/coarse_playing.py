@@ -124,9 +124,13 @@ class PlayedCache:
             self._advanced = frame
 
     def look_ahead(self) -> None:
-        """After a frame that was simulated: what the next one begins with, on another thread."""
+        """After a frame that was simulated: what the next one begins with, and its file, on other threads.
+
+        Python runs on one thread at a time: a frame would wait for the file that is written meanwhile.
+        """
         if self._advanced is not None and self._history is not None:
             self._history.simulation.look_ahead()
+            self._history.cache.write_behind()
         self._advanced = None
 
     def _begin(self, garments: Garments, scene: bpy.types.Scene) -> None:
