@@ -23,7 +23,7 @@ UNLIKE = wp.constant(1.5)
 # A vertex is nearly outside where it lies at most this part as deep as elsewhere.
 SHALLOWER = wp.constant(0.25)
 # Vertices next to each other, in the order that they are dealt with, for which limbs near them are looked for at once.
-CLUSTER = wp.constant(16)
+CLUSTER = wp.constant(64)
 # Farther than any point of the pose.
 NOWHERE = wp.constant(wp.float32(1.0e30))
 

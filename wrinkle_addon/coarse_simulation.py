@@ -118,8 +118,9 @@ class CoarseSimulation:
         self._contact = CoarseContact(self.model, contact_settings, lift, limbs, body_faces, body_positions, *motion)
         self._garment = upload_garment(self.model, np.zeros(self.model.vertex_count), self.device)
         self._elasticity = Elasticity(self.model, self._garment, 1)
+        parts = [part.vertices for part in self.model.parts]
         self._system = BlockSystem(
-            self.model, self._garment, self._elasticity, self._contact.frozen, 1, corrected=False
+            self.model, self._garment, self._elasticity, self._contact.frozen, 1, corrected=False, layers=parts
         )
         self._step = LaunchGraph(partial(self._launch_step, 0), MODULES, self.device)
         self._frame = LaunchGraph(self._launch_frame, MODULES, self.device)

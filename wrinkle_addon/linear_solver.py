@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +26,12 @@ RECORDED_ITERATIONS = {"cuda": 10, "cpu": 1}
 class BlockSystem:
     """The linear system of one Newton step for every world: blocks, their preconditioner, and a solver for them.
 
+    Args:
+        corrected: Whether a coarse space is added to the preconditioner; for many linear systems a step.
+        layers: Vertices of garments worn over each other, from the innermost outwards, if those are what pairs hold
+            apart. Their preconditioner goes through them one after the other, outwards and back (symmetric block
+            Gauss-Seidel): pairs are the stiffest of all that is in the system. One world.
+
     Attributes:
         blocks: One-ring Hessian blocks [N/m], shape [world_count, block_count].
         pair_stiffness: Stiffness of each self-contact pair [N/m], in the order of the contact's list.
@@ -42,6 +48,7 @@ class BlockSystem:
         world_count: int,
         *,
         corrected: bool = True,
+        layers: Sequence[slice] = (),
     ):
         device = contact.face.device
         vertex_count = model.vertex_count
@@ -51,6 +58,7 @@ class BlockSystem:
         self._elasticity = elasticity
         self._contact = contact
         self._device = device
+        self._layers = layers
         self._chunk_size = RECORDED_ITERATIONS["cuda" if device.is_cuda else "cpu"]
 
         def upload(values: np.ndarray, dtype: type) -> wp.array:
@@ -248,6 +256,12 @@ class BlockSystem:
         launch(linear.start_scalars, self.shape[0], [self._partial, moving], scalars)
 
     def _correct(self) -> None:
+        """From the residual preconditioned block by block to what the whole preconditioner makes of it."""
+        launch = _launcher(self._device)
+        for outwards, layers in ((True, self._layers[1:]), (False, self._layers[-2::-1])):
+            for layer in layers:
+                inputs = [layer.start, self._inverse, self._contact, self.pair_stiffness, outwards]
+                launch(linear.give_way, layer.stop - layer.start, inputs, [self._preconditioned])
         if self._correction is not None:
             self._correction.add(self._residual, self._preconditioned)
 

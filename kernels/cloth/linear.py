@@ -100,6 +100,37 @@ def start_from(
 
 
 @wp.kernel
+def give_way(
+    first: wp.int32,
+    inverse: wp.array2d[wp.mat33],
+    contact: Contact,
+    pair_stiffness: wp.array[wp.float32],
+    outwards: wp.bool,
+    # in and out
+    preconditioned: wp.array2d[wp.vec3],
+):
+    """Let a layer's vertices, from ``first`` on, give way to the layers inside of it, or else to those outside [m].
+
+    Of every pair, what its inner layer's vertex does pushes its outer layer's triangle, or the other way round.
+    """
+    vertex = first + wp.tid()
+    push = wp.vec3()
+    start = contact.incident_start[vertex]
+    for k in range(start, start + contact.incident_count[vertex]):
+        pair = contact.incident[k] >> 2
+        corner = contact.incident[k] & 3
+        if (corner != 0) == outwards:
+            v = contact.pair_vertices[pair]
+            w = contact.pair_weights[pair]
+            n = contact.pair_normal[pair]
+            moved = w[0] * preconditioned[0, v[0]]
+            if not outwards:
+                moved = w[1] * preconditioned[0, v[1]] + w[2] * preconditioned[0, v[2]] + w[3] * preconditioned[0, v[3]]
+            push += (w[corner] * pair_stiffness[pair] * wp.dot(n, moved)) * n
+    preconditioned[0, vertex] -= inverse[0, vertex] * push
+
+
+@wp.kernel
 def partial_dot(
     a: wp.array2d[wp.vec3],
     b: wp.array2d[wp.vec3],

@@ -1,7 +1,9 @@
 """Garments worn over each other in the coarse simulation: the inner one stays inside."""
 
 import numpy as np
+import warp as wp
 from cloth_shapes import tube, turned
+from scipy.linalg import block_diag
 from wrinkle_synthesis.wrinkle_addon import coarse_contact, coarse_simulation
 from wrinkle_synthesis.wrinkle_addon.coarse_simulation import CoarseLayer, CoarseSettings, CoarseSimulation
 
@@ -74,6 +76,49 @@ def test_what_was_closest_before_changes_nothing_that_is_found(device):
             found.append(contact.frozen.pair_vertices.numpy().copy())
         assert (found[0][:, 0] != found[0][:, 1]).sum() > 100
         np.testing.assert_array_equal(*found)
+
+
+def touching_layers(device):
+    """The linear system of a step in which the layers press on each other, its matrix, and a force [N]."""
+    simulation, arm, garments = shirt_over_trousers(-0.002, device)
+    simulation.start(arm, garments)
+    simulation.step(turned(arm, 0.2), [turned(one, 0.2) for one in garments], FRAME)
+    system = simulation._system
+    force = np.random.default_rng(7).normal(size=(1, simulation.model.vertex_count, 3))
+    return system, system.to_scipy(0).toarray(), force, 3 * len(garments[0])
+
+
+def test_layers_are_preconditioned_one_after_the_other_outwards_and_back(device):
+    system, matrix, force, inner = touching_layers(device)
+    inverse = block_diag(*system._inverse.numpy()[0].astype(np.float64))
+    lower = np.zeros_like(matrix)
+    lower[inner:, :inner] = matrix[inner:, :inner]
+    assert np.abs(lower).max() > 100.0
+    outwards = inverse @ force.ravel()
+    outwards -= inverse @ (lower @ outwards)
+    expected = outwards - inverse @ (lower.T @ outwards)
+    preconditioned = (inverse @ force.ravel()).reshape(force.shape)
+    system._preconditioned.assign(preconditioned.astype(np.float32))
+    system._correct()
+    found = system._preconditioned.numpy().ravel()
+    # Sums of some ten products in single precision.
+    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+    assert np.abs(found - preconditioned.ravel()).max() > 0.01 * np.abs(expected).max()
+
+
+def test_going_through_the_layers_saves_iterations_and_solves_the_same_system():
+    system, matrix, force, _ = touching_layers("cpu")
+    gradient = wp.array(-force, dtype=wp.vec3d, device="cpu")
+    iterations = []
+    for layers in (system._layers, ()):
+        system._layers = layers
+        system.solution.zero_()
+        system.launch_solve(gradient, wp.ones(1, dtype=wp.int32, device="cpu"), 1.0e-4, 500)
+        iterations.append(int(system._iterations.numpy()[0]))
+        residual = matrix @ system.solution.numpy().ravel().astype(np.float64) - force.ravel()
+        # The tolerance is one of the preconditioned norm.
+        assert np.linalg.norm(residual) < 1e-2 * np.linalg.norm(force)
+    assert 1 < iterations[0] < 0.8 * iterations[1]
 
 
 def test_any_number_of_threads_gives_the_same_bits(monkeypatch):
