@@ -188,6 +188,7 @@ def test_vertices_outside_an_outer_garment_and_over_a_triangle_collide(device):
     pairs = layers.LayerPairs()
     pairs.vertex = wp.array(np.arange(80), dtype=wp.int32, device=device)
     pairs.layer, pairs.face = (wp.zeros(80, dtype=wp.int32, device=device) for _ in range(2))
+    pairs.closest = wp.full(80, -1, dtype=wp.int32, device=device)
     pairs.area = wp.ones(80, dtype=wp.float64, device=device)
     vertices = wp.zeros(80, dtype=wp.vec4i, device=device)
     gap = wp.zeros(80, dtype=wp.float32, device=device)
