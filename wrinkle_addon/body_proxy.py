@@ -12,17 +12,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from ..kernels.cloth import body_surface
 from .cloth_model import FloatArray, IntArray
 from .coarse_mesh import make_coarse_mesh
 from .garment import Body, bind_to_surface
-
-if TYPE_CHECKING:
-    from scipy import sparse
 
 VERTEX_COUNT = 10_000
 """Vertices of a proxy where nothing else is asked for; the paper's has 11,000 and 20,000 triangles (W42)."""
@@ -44,17 +42,16 @@ class BodyProxy:
 
     def carry(self, positions: ArrayLike) -> NDArray[np.float32]:
         """The proxy where the body is [m], shape [proxy_vertex_count, 3], from [body_vertex_count, 3]."""
-        carrying, reach = self._carrying
-        return carrying @ np.ascontiguousarray(positions, np.float32)[:reach]
+        points = wp.array(np.ascontiguousarray(positions, np.float32), dtype=wp.vec3, device="cpu", copy=False)
+        carried = wp.empty(len(self.corners), dtype=wp.vec3, device="cpu")
+        wp.launch(body_surface.carry_points, len(self.corners), [points, *self._bound], [carried], device="cpu")
+        return carried.numpy()
 
     @cached_property
-    def _carrying(self) -> tuple[sparse.csr_array, int]:
-        """What takes the body's first vertices to the proxy's, and how many of them that is."""
-        from scipy import sparse
-
-        count, reach = len(self.corners), int(self.corners.max()) + 1
-        entries = self.weights.ravel(), self.corners.ravel(), 3 * np.arange(count + 1)
-        return sparse.csr_array(entries, shape=(count, reach)), reach
+    def _bound(self) -> tuple[wp.array, wp.array]:
+        """Corners and weights as kernels read them."""
+        corners = wp.array(self.corners.astype(np.int32), dtype=wp.vec3i, device="cpu")
+        return corners, wp.array(self.weights.astype(np.float32), dtype=wp.vec3, device="cpu")
 
     def of_body(self, body: Body) -> Body:
         """The proxy as a body of its own, with the body's skin weights: what tells its limbs apart."""

@@ -130,8 +130,8 @@ class CoarseContact:
         """Look for what is near at the beginning of a frame: once for all its steps.
 
         The skinned garment tells where a vertex's outside is, or the garment itself where it has turned away from it.
-        Only :meth:`take_found` lets it count; until then nothing that outlives a frame is touched, so that it may go on
-        on another thread.
+        Only :meth:`take_found` lets it count; until then nothing that outlives a frame is touched, but for what bounds
+        the next search without a part in what it finds. So it may go on on another thread.
         """
         self._going_back()
         self._body_meshes[0].refit()

@@ -85,6 +85,21 @@ def closest_point_of_face(
     return w, wp.length(p - triangle_point(points, faces, world, face, w))
 
 
+@wp.kernel
+def carry_points(
+    positions: wp.array[wp.vec3],
+    corners: wp.array[wp.vec3i],
+    weights: wp.array[wp.vec3],
+    # outputs
+    carried: wp.array[wp.vec3],
+):
+    """Points on triangles of a surface where it is now [m], by corners and their weights."""
+    point = wp.tid()
+    c = corners[point]
+    w = weights[point]
+    carried[point] = w[0] * positions[c[0]] + w[1] * positions[c[1]] + w[2] * positions[c[2]]
+
+
 @wp.func
 def face_direction(
     points: wp.array2d[wp.vec3], faces: wp.array2d[wp.int32], world: wp.int32, face: wp.int32

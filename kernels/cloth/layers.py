@@ -52,8 +52,9 @@ def find_layer_pairs(
     meshes: wp.array[wp.uint64],
     first_face: wp.array[wp.int32],
     radius: wp.float32,
-    # outputs
+    # in and out
     pairs: LayerPairs,
+    # outputs
     vertices: wp.array[wp.vec4i],
 ):
     """The outer triangle that each inner vertex lies under or over, within ``radius`` [m], facing as the vertex does.
@@ -73,6 +74,9 @@ def find_layer_pairs(
         _w, away = closest_point_of_face(points, faces, 0, held, p)
         near = wp.min(radius, away + ROUNDING)
     query = wp.mesh_query_point_no_sign(meshes[layer], p, near)
+    if not query.result and near < radius:
+        # Far from the origin the query may find what it held a little farther away than it was found here.
+        query = wp.mesh_query_point_no_sign(meshes[layer], p, radius)
     if not query.result:
         pairs.closest[pair] = -1
         return

@@ -198,3 +198,13 @@ def test_angles_of_many_joints_at_once_are_those_that_made_the_pose() -> None:
     for joint, angles in zip(joints, found, strict=True):
         # Rounding of float64, through two quaternion products and an arc tangent.
         np.testing.assert_allclose(angles, wanted[joint.name], atol=1e-12)
+
+
+def test_a_joint_without_a_near_bone_turns_against_none() -> None:
+    rig = human()
+    for joint in find_joints(rig).found:
+        angles = np.linspace(0.2, 0.4, joint.dof)
+        turns = pose_of_angles(rig, [joint], {joint.name: angles}).turns(rig)
+        # The near bone rests, so that it makes no difference.
+        found = JointAngles(rig, [replace(joint, near="")]).read(turns)
+        np.testing.assert_allclose(found[0], angles, atol=1e-12)
