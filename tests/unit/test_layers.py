@@ -82,3 +82,20 @@ def test_the_core_imports_without_blender_and_without_scipy(module: str):
         f"import wrinkle_synthesis{module}\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def asking_for_scipy(source: str) -> list[str]:
+    """Functions that import SciPy once they are called."""
+    return [
+        function.name
+        for function in ast.walk(ast.parse(source))
+        if isinstance(function, ast.FunctionDef)
+        and any(name.split(".")[0] == "scipy" for name, _ in imports(ast.unparse(function), ROOT / "function.py"))
+    ]
+
+
+def test_nothing_that_the_extension_does_asks_for_scipy_later():
+    """The extension brings none; what only tests look at may."""
+    found = [(path.stem, name) for path in sources() for name in asking_for_scipy(path.read_text("utf-8"))]
+    assert found == [("linear_solver", "to_scipy")]
+    assert asking_for_scipy("def carry():\n    from scipy import sparse\n") == ["carry"]
