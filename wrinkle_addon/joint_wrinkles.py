@@ -328,6 +328,7 @@ class OffsetEvaluator(JointEvaluator):
             self._placement,
         ]
         inputs = [self._skin, self._samples, *(array.device for array in posed)]
+        # Where the meshes are written to is told with every pose.
         self._launch = self._split.record(blend_offsets, inputs, [self._sums, self._sums.total])
 
     def _evaluate(

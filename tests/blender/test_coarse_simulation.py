@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -363,6 +364,15 @@ def test_playing_from_the_first_frame_fills_the_cache(wrinkle, arm: Arm, file: P
     for one, other in zip(live, baked, strict=True):
         for name in one:
             np.testing.assert_array_equal(one[name], other[name])
+
+
+@pytest.mark.usefixtures("window")
+def test_a_played_frame_gets_its_file_though_nobody_asks_for_it(arm: Arm, file: Path) -> None:
+    play(1, 2, 3)
+    given_up = time.monotonic() + 60.0
+    while CoarseCache.open(file.parent / "rig.coarse").last < 3:
+        assert time.monotonic() < given_up
+        time.sleep(0.01)
 
 
 @pytest.mark.usefixtures("window")
