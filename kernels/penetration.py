@@ -2,22 +2,20 @@
 
 Every vertex walks over the posed body from the triangle under it at rest to the foot below it. What it lacks there of
 its clearance is spread over the garment around it, so that folds are pushed out whole. Then other limbs that came in
-its way push, too. All kernels gather, in a fixed order; the same input gives the same bits. A thread deals with a block
-of vertices, on a GPU with one: what surface and grids it is given, it reads once.
+its way push, too (:mod:`.limb_pushes`). All kernels gather, in a fixed order; the same input gives the same bits. A
+thread deals with a block of vertices, on a GPU with one: what surface and grids it is given, it reads once.
 """
 
 import warp as wp
 
-from .limb_grids import PLAINLY_OUTSIDE, LimbGrids, cell_triangle, limb_triangle, limbs_around, nearer_triangle
+from .limb_grids import PLAINLY_OUTSIDE, LimbGrids, cell_triangle, limbs_around, nearer_triangle
 from .posed_surface import LIMB, PosedSurface, find_foot, find_foot_within, height_over_corner, rise_between
-from .spreading import RING, Neighbours
+from .spreading import Neighbours
 
 wp.set_module_options({"enable_backward": False})
 
 # Cosines between the skin's normal and another limb's from where on that limb is less, and no wall against it.
 ASIDE = wp.constant(wp.vec2(-0.1, 0.3))
-# A vertex is moved out of another limb by at most this many times what the shortest way out would take.
-OVERSHOOT = wp.constant(3.0)
 # Heights of neighbours differ by at most this many times what the two are apart.
 UNLIKE = wp.constant(1.5)
 # A vertex is nearly outside where it lies at most this part as deep as elsewhere.
@@ -38,6 +36,7 @@ class Clearance:
         soft: Lack up to which pushing sets in gently [m].
         deep: Lacks at which pushing begins to fade and has faded [m]: that far in, a foot means nothing.
         overlap: Depths of a limb in another one at which they begin to be, and are, too deep to push cloth between [m].
+        crease: Distances from where two limbs meet at which cloth in both begins to be, and is, left inside [m].
     """
 
     metre: wp.float32
@@ -45,9 +44,7 @@ class Clearance:
     soft: wp.float32
     deep: wp.vec2
     overlap: wp.vec2
-
-
-# --- out of the limb that the vertex is worn on -------------------------------------------------------------------
+    crease: wp.vec2
 
 
 @wp.kernel
@@ -283,197 +280,3 @@ def mend_feet(
         height[v] = h
         normal[v] = n
         lack[v] = needed_push
-
-
-# --- out of other limbs, and to its place -------------------------------------------------------------------------
-
-
-@wp.func
-def move_out_of_limb(
-    surface: PosedSurface,
-    grids: LimbGrids,
-    limb: wp.int32,
-    begin: wp.int32,
-    p: wp.vec3,
-    position: wp.vec3,
-    own: wp.int32,
-    height: wp.float32,
-    normal: wp.vec3,
-    needed: wp.float32,
-    clearance: Clearance,
-    tolerance: wp.float32,
-) -> wp.vec3:
-    """Move out of another limb of a vertex that now is at p, near its triangle ``begin``.
-
-    ``height`` [m] and ``normal`` are those of where it was over its own limb; without a normal they are not known yet.
-    """
-    move = wp.vec3()
-    enough = needed * clearance.metre
-    _foot, g, m, trust = find_foot_within(
-        surface, p, begin, surface.triangles[own][LIMB], tolerance * clearance.metre, enough
-    )
-    lack = needed - g / clearance.metre
-    if lack > 0.0:
-        n = normal
-        h = height * clearance.metre
-        if wp.length_sq(n) == 0.0:
-            below = nearer_triangle(surface, grids, position, own)
-            _face, h, n, _sure = find_foot(surface, position, below, tolerance * clearance.metre)
-        skin = position - h * n
-        wall, wall_height, sure, apart = facing_wall(surface, grids, limb, skin, n, clearance, tolerance)
-        now = wp.dot(p - skin, n) / clearance.metre
-        g = wall_height + wp.dot(p - skin, wall) / clearance.metre
-        asked = height_between(needed, g, now, wp.max(-wp.dot(wall, n), 0.0))
-        between = softened(wp.min(asked - g, OVERSHOOT * lack), clearance.soft, clearance.deep)
-        shortest = trust * softened(lack, clearance.soft, clearance.overlap)
-        move = apart * clearance.metre * (sure * between * wall + (1.0 - sure) * shortest * m)
-    return move
-
-
-@wp.kernel
-def push_between_limbs(
-    first: wp.int32,
-    block_size: wp.int32,
-    order: wp.array[wp.int32],
-    positions: wp.array[wp.vec3],
-    start: wp.array[wp.int32],
-    rest_height: wp.array[wp.float32],
-    push: wp.array[wp.float32],
-    surface: PosedSurface,
-    grids: LimbGrids,
-    clearance: Clearance,
-    tolerance: wp.float32,
-    # in and out
-    face: wp.array[wp.int32],
-    height: wp.array[wp.float32],
-    normal: wp.array[wp.vec3],
-    # outputs
-    moves: wp.array[wp.vec3],
-    moved: wp.array[wp.float32],
-):
-    """Moves out of other limbs of what :func:`push_out` pushes out of its own, and their squared lengths.
-
-    The feet that :func:`find_lacks` left out are found here, where a neighbour's push has spread to.
-    """
-    block = (first + wp.tid()) * block_size
-    end = wp.min(block + block_size, positions.shape[0])
-    for cluster in range(block, end, CLUSTER):
-        stop = wp.min(cluster + CLUSTER, end)
-        low = wp.vec3(NOWHERE)
-        high = wp.vec3(-NOWHERE)
-        for i in range(cluster, stop):
-            v = order[i]
-            p = positions[v]
-            if push[v] > 0.0 and face[v] < 0:
-                below = nearer_triangle(surface, grids, p, start[v])
-                foot, h, n, _trust = find_foot(surface, p, below, tolerance * clearance.metre)
-                face[v] = foot
-                height[v] = h / clearance.metre
-                normal[v] = n
-            pushed = p + push[v] * clearance.metre * normal[v]
-            low = wp.min(low, pushed)
-            high = wp.max(high, pushed)
-        limbs = limbs_around(grids, low, high)
-        for i in range(cluster, stop):
-            v = order[i]
-            p = positions[v]
-            own = wp.where(face[v] >= 0, face[v], start[v])
-            needed = needed_height(rest_height[v], clearance)
-            pushed = p + push[v] * clearance.metre * normal[v]
-            move = wp.vec3()
-            near = limbs & ~(1 << surface.triangles[own][LIMB])
-            for limb in range(grids.extents.shape[0]):
-                if (near >> limb) & 1 != 0:
-                    begin = limb_triangle(surface, grids, limb, pushed + move, clearance.metre)
-                    if begin >= 0:
-                        move += move_out_of_limb(
-                            surface,
-                            grids,
-                            limb,
-                            begin,
-                            pushed + move,
-                            p,
-                            own,
-                            height[v],
-                            normal[v],
-                            needed,
-                            clearance,
-                            tolerance,
-                        )
-            moves[v] = move
-            moved[v] = wp.length_sq(move)
-
-
-@wp.func
-def mean_move(neighbours: Neighbours, moves: wp.array[wp.vec3], moved: wp.array[wp.float32], v: wp.int32) -> wp.vec3:
-    """Half of a vertex's move and half of the mean of its neighbours': zero for most."""
-    begin = neighbours.begin[v]
-    end = neighbours.begin[v + 1]
-    ring = neighbours.ring[v]
-    any_moved = moved[v]
-    for k in range(RING):
-        any_moved += moved[ring[k]]
-    for k in range(begin + RING, end):
-        any_moved += moved[neighbours.all[k]]
-    move = wp.vec3()
-    if any_moved > 0.0:
-        total = wp.vec3()
-        for k in range(begin, end):
-            total += moves[neighbours.all[k]]
-        move = 0.5 * moves[v] + 0.5 * total / wp.float32(wp.max(end - begin, 1))
-    return move
-
-
-@wp.kernel
-def push_out(
-    first: wp.int32,
-    block_size: wp.int32,
-    neighbours: Neighbours,
-    start: wp.array[wp.int32],
-    rest_height: wp.array[wp.float32],
-    push: wp.array[wp.float32],
-    face: wp.array[wp.int32],
-    height: wp.array[wp.float32],
-    normal: wp.array[wp.vec3],
-    moves: wp.array[wp.vec3],
-    moved: wp.array[wp.float32],
-    surface: PosedSurface,
-    grids: LimbGrids,
-    clearance: Clearance,
-    tolerance: wp.float32,
-    # in and out
-    positions: wp.array[wp.vec3],
-):
-    """Move every vertex by its push [m] along its normal (eq 11), and on out of other limbs.
-
-    There it goes half way to where its neighbours go, and out of what is still in its way then.
-    """
-    block = (first + wp.tid()) * block_size
-    for v in range(block, wp.min(block + block_size, positions.shape[0])):
-        p = positions[v]
-        pushed = p + push[v] * clearance.metre * normal[v]
-        move = mean_move(neighbours, moves, moved, v)
-        if wp.length_sq(move) > 0.0:
-            own = wp.where(face[v] >= 0, face[v], start[v])
-            needed = needed_height(rest_height[v], clearance)
-            place = pushed + move
-            near = limbs_around(grids, place, place) & ~(1 << surface.triangles[own][LIMB])
-            for limb in range(grids.extents.shape[0]):
-                if (near >> limb) & 1 != 0:
-                    here = limb_triangle(surface, grids, limb, pushed + move, clearance.metre)
-                    if here >= 0:
-                        move += move_out_of_limb(
-                            surface,
-                            grids,
-                            limb,
-                            here,
-                            pushed + move,
-                            p,
-                            own,
-                            height[v],
-                            normal[v],
-                            needed,
-                            clearance,
-                            tolerance,
-                        )
-        positions[v] = pushed + move

@@ -12,7 +12,7 @@ over the body to the foot below it, or to a nearer one that its neighbours know 
 smooth normal, so that a push changes its height by just as much. (c) Pushes are spread over the garment before they
 are made: largest values around, then as many means, which are nowhere less than what is needed. Folds keep their shape
 and ride outwards, where eq 11 would cut them off. (d) Other limbs push as well, as the trunk does a sleeve; where two
-walls leave no room, they share what is lacking.
+walls leave no room, they share what is lacking, and near the crease where they meet cloth is moved out to that.
 Nothing is blended again afterwards (eq 13): there is one mesh, not one an example.
 """
 
@@ -25,7 +25,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ..kernels.cloth import body_surface
-from ..kernels.penetration import Clearance, find_lacks, heights_over_surface, mend_feet, push_between_limbs, push_out
+from ..kernels.limb_pushes import push_between_limbs, push_out
+from ..kernels.penetration import Clearance, find_lacks, heights_over_surface, mend_feet
 from ..kernels.posed_surface import PosedSurface, vec_triangle
 from ..kernels.spreading import RING, Neighbours, believable_lacks, largest_around, mean_around, vec_ring
 from .cloth_contact import Limbs
@@ -56,6 +57,7 @@ class ClearanceSettings:
         soft: Lack up to which pushing sets in gently, without a kink in time or space [m].
         deep: Lacks at which pushing begins to fade and has faded [m].
         overlap: Depths of a limb in another one at which they begin to be, and are, too deep to push cloth between [m].
+        crease: Distances from where two limbs meet at which cloth in both begins to be, and is, left inside [m].
     """
 
     distance: float = 0.003
@@ -63,6 +65,7 @@ class ClearanceSettings:
     soft: float = 0.001
     deep: tuple[float, float] = (0.06, 0.12)
     overlap: tuple[float, float] = (0.02, 0.035)
+    crease: tuple[float, float] = (0.008, 0.016)
 
     def __post_init__(self) -> None:
         if not self.distance >= 0.0 or not self.spread >= 0.0:
@@ -213,6 +216,7 @@ class PushOut:
         self._clearance.most, self._clearance.soft = self.settings.distance, self.settings.soft
         self._clearance.deep = wp.vec2(*self.settings.deep)
         self._clearance.overlap = wp.vec2(*self.settings.overlap)
+        self._clearance.crease = wp.vec2(*self.settings.crease)
         self._height = wp.zeros(count, dtype=wp.float32, device=self.device)
         self._stages = self._record(binding)
 

@@ -238,7 +238,7 @@ def test_nothing_outside_is_thrown_through_a_thin_limb_that_bends(slid):
 class TwoLimbs:
     """Two cylinders side by side, far apart at rest, each in a sleeve of its own; the right one moves."""
 
-    def __init__(self):
+    def __init__(self, settings=None):
         one, one_faces = tube(RADIUS, 61, 64, LENGTH, 0.01)
         cloth, cloth_faces = tube(RADIUS + 0.005, 41, 64, 0.3, 0.03)
         cloth += [0.0, 0.0, 0.05]
@@ -250,7 +250,7 @@ class TwoLimbs:
         self.count, self.right = len(cloth), np.arange(len(one), 2 * len(one))
         limb = np.repeat([0, 1], len(one_faces)).astype(np.int32)
         limbs = Limbs(limb, np.repeat([1, 2], len(cloth)).astype(np.int32))
-        self.push = PushOut(bind_clearance(self.rest, self.faces, self.body, self.body_faces, limbs))
+        self.push = PushOut(bind_clearance(self.rest, self.faces, self.body, self.body_faces, limbs), settings)
 
     def at(self, gap):
         """Body and garment with this gap between the cylinders [m], and the garment after the push."""
@@ -295,6 +295,38 @@ def test_nothing_is_thrown_however_deep_limbs_are_in_each_other(two_limbs):
         cloth, out = two_limbs.at(gap)
         # No limb here is pushed out of by more than where pushing has faded, and the clearance.
         assert np.linalg.norm(out - cloth, axis=1).max() < ClearanceSettings().overlap[1] + CLEARANCE
+
+
+def depths(points, gap):
+    """How deep points lie in the left and in the right cylinder [m], and how far they are from where these meet."""
+    middle = RADIUS + 0.5 * gap
+    end = np.sqrt(RADIUS**2 - middle**2)
+    far = np.minimum(*(np.hypot(points[:, 0] - middle, points[:, 1] - side) for side in (end, -end)))
+    return RADIUS - radii(points), RADIUS - radii(points - [2.0 * middle, 0.0, 0.0]), far
+
+
+@pytest.mark.parametrize("gap", [-0.006, -0.01, -0.02])
+def test_cloth_between_limbs_comes_out_where_they_meet(two_limbs, gap):
+    _, left_inside = TwoLimbs(ClearanceSettings(crease=(0.0, 1e-9))).at(gap)
+    _, out = two_limbs.at(gap)
+    near, far = ClearanceSettings().crease
+    left, right, away = depths(left_inside, gap)
+    in_both = (left > 0.001) & (right > 0.001)
+    # One step towards the crease of curved walls ends within a tenth of the way.
+    to_crease = in_both & (away < 0.9 * near)
+    assert to_crease.any()
+    assert np.minimum(*depths(out[to_crease], gap)[:2]).max() < 0.001
+    # What lies deep between them, or in neither, stays.
+    stays = (away > 1.1 * far) | ((left < 0.0) & (right < 0.0))
+    assert np.array_equal(out[stays], left_inside[stays])
+
+
+def test_cloth_comes_out_steadily_as_limbs_meet(two_limbs):
+    step = 1e-4
+    tracks = np.array([two_limbs.at(gap)[1] for gap in np.arange(-0.012, 0.004, step)])
+    # A crease goes some times as fast as the limbs that make it, faster still the shallower they overlap.
+    moved = np.linalg.norm(np.diff(tracks, axis=0), axis=2)
+    assert moved.max() < 8.0 * step
 
 
 # --- a garment over another one -----------------------------------------------------------------------------------
