@@ -43,6 +43,31 @@ def downsample_meshes(
         means[side, v] = found
 
 
+@wp.func
+def detach_vertex(
+    u: wp.int32,
+    means: wp.array2d[mat_lanes],
+    start: wp.array[wp.int32],
+    columns: wp.array[wp.vec4i],
+    weights: wp.array[wp.vec4],
+    strength: wp.float32,
+    # in and out
+    meshes: wp.array2d[wp.vec3],
+):
+    """Take the coarse vertices' means away from a fine vertex of every mesh [m]."""
+    for side in range(means.shape[0]):
+        taken = mat_lanes()
+        for k in range(start[u], start[u + 1]):
+            c = columns[k]
+            w = weights[k]
+            taken += (w[0] * means[side, c[0]] + w[1] * means[side, c[1]]) + (
+                w[2] * means[side, c[2]] + w[3] * means[side, c[3]]
+            )
+        for lane in range(LANES):
+            if LANES * side + lane < meshes.shape[0]:
+                meshes[LANES * side + lane, u] -= strength * taken[lane]
+
+
 @wp.kernel
 def detach_meshes(
     first: wp.int32,
@@ -58,18 +83,32 @@ def detach_meshes(
 
     ``weights`` are a_uv after Laplacian smoothing over the fine mesh, four at a time.
     """
+    detach_vertex(first + wp.tid(), means, start, columns, weights, strength, meshes)
+
+
+@wp.kernel
+def join_detached_meshes(
+    first: wp.int32,
+    means: wp.array2d[mat_lanes],
+    start: wp.array[wp.int32],
+    columns: wp.array[wp.vec4i],
+    weights: wp.array[wp.vec4],
+    strength: wp.float32,
+    # in and out
+    meshes: wp.array2d[wp.vec3],
+    # outputs
+    positions: wp.array[wp.vec3],
+):
+    """As :func:`detach_meshes`; then the first mesh with the others' offsets from it joined as joints' are [m]."""
     u = first + wp.tid()
-    for side in range(means.shape[0]):
-        taken = mat_lanes()
-        for k in range(start[u], start[u + 1]):
-            c = columns[k]
-            w = weights[k]
-            taken += (w[0] * means[side, c[0]] + w[1] * means[side, c[1]]) + (
-                w[2] * means[side, c[2]] + w[3] * means[side, c[3]]
-            )
-        for lane in range(LANES):
-            if LANES * side + lane < meshes.shape[0]:
-                meshes[LANES * side + lane, u] -= strength * taken[lane]
+    detach_vertex(u, means, start, columns, weights, strength, meshes)
+    total = wp.vec3()
+    for mesh in range(1, meshes.shape[0]):
+        total += meshes[mesh, u] - meshes[0, u]
+    largest = wp.float32(0.0)
+    for mesh in range(1, meshes.shape[0]):
+        largest = wp.max(largest, wp.abs(wp.dot(total, meshes[mesh, u] - meshes[0, u])))
+    positions[u] = meshes[0, u] + join_offsets(total, largest)
 
 
 @wp.kernel
@@ -152,21 +191,3 @@ def blend_meshes(
     for mesh in range(meshes.shape[0]):
         total += shares[mesh, u] * meshes[mesh, u]
     positions[u] = total
-
-
-@wp.kernel
-def join_meshes(
-    first: wp.int32,
-    meshes: wp.array2d[wp.vec3],
-    # outputs
-    positions: wp.array[wp.vec3],
-):
-    """The first mesh with the other meshes' offsets from it joined, as joints' offsets over skinning are [m]."""
-    u = first + wp.tid()
-    total = wp.vec3()
-    for mesh in range(1, meshes.shape[0]):
-        total += meshes[mesh, u] - meshes[0, u]
-    largest = wp.float32(0.0)
-    for mesh in range(1, meshes.shape[0]):
-        largest = wp.max(largest, wp.abs(wp.dot(total, meshes[mesh, u] - meshes[0, u])))
-    positions[u] = meshes[0, u] + join_offsets(total, largest)

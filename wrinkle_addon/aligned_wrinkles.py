@@ -62,8 +62,7 @@ class AlignedWrinkles:
         """
         if len(self._meshes):
             self._evaluator.evaluate_apart(pose, self.groups, self._meshes, strengths, placement)
-            self._transfer.detach(self._meshes, follow)
-            self._transfer.join(self._meshes, out)
+            self._transfer.detach(self._meshes, follow, joined=out)
         else:
             self._evaluator.evaluate(pose, out, strengths, placement)
             self._transfer.detach(out.reshape((1, len(out))), follow)

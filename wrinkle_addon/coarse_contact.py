@@ -276,6 +276,8 @@ class CoarseContact:
             wp.Mesh(
                 points=self._points[0][part.vertices],
                 indices=self._upload((self._model.faces[part.triangles] - part.vertices.start).ravel(), wp.int32),
+                # Coarse layers are small: what smaller leaves save in searches is more than they cost in refitting.
+                bvh_leaf_size=1,
             )
             for part in parts
         ]

@@ -24,8 +24,7 @@ Joints that are close to each other leave no room to blend their meshes in (W86)
 
     groups = transfer_groups(names, close_joints(regions, rest, faces))
     evaluator.evaluate_apart(pose, groups, meshes)      # mesh 0 is the skinned garment, of no joint
-    transfer.detach(meshes)
-    transfer.join(meshes, positions)        # offsets over skinning; ``blend`` is the paper's weighted mean
+    transfer.detach(meshes, joined=positions)           # offsets over skinning; ``blend`` is the paper's weighted mean
     transfer.attach(coarse, positions)
 """
 
@@ -47,7 +46,7 @@ from ..kernels.transfer import (
     blend_meshes,
     detach_meshes,
     downsample_meshes,
-    join_meshes,
+    join_detached_meshes,
     mat_lanes,
     place_means,
     smooth_columns,
@@ -125,7 +124,6 @@ class DetailTransfer:
         self._split = SplitLaunch(match.fine_count, self.device)
         self._split_coarse = SplitLaunch(match.fine_count, self.device, block_count=match.coarse_count)
         self._detaching: tuple[int, list[RecordedLaunch]] = (0, [])
-        self._joining: RecordedLaunch | None = None
         self._attaching = self._record_attaching(mean_places(match, *members, as_published=self.settings.as_published))
 
     def _upload_rows(self, start: IntArray, entries: IntArray, weights: NDArray[np.floating]) -> list[wp.array]:
@@ -145,18 +143,24 @@ class DetailTransfer:
         self.detach(positions.reshape((1, self._fine_count)), strength)
         self.attach(coarse, positions, strength)
 
-    def detach(self, meshes: wp.array, strength: float = 1.0) -> None:
+    def detach(self, meshes: wp.array, strength: float = 1.0, joined: wp.array | None = None) -> None:
         """Take the means on the coarse mesh away from meshes of the garment, each by itself, in place.
 
         Args:
             meshes: Array of vec3 [m], shape [mesh_count, fine_count].
             strength: What share of them; as :meth:`attach` will be told.
+            joined: Where to write the first mesh with the others' offsets from it joined as joints' are over skinning
+                [m], shape [fine_count].
         """
         sides = -(-meshes.shape[0] // LANES)
         if self._detaching[0] != sides:
             self._detaching = sides, self._record_detaching(meshes, sides)
-        for stage in self._detaching[1]:
-            stage({"meshes": meshes, "strength": strength})
+        downsample, detach, detach_and_join = self._detaching[1]
+        downsample({"meshes": meshes})
+        if joined is None:
+            detach({"meshes": meshes, "strength": strength})
+        else:
+            detach_and_join({"meshes": meshes, "strength": strength, "positions": joined})
 
     def attach(self, coarse: wp.array, positions: wp.array, strength: float = 1.0) -> None:
         """Add to a detached garment the means that it has on the coarse layer, in place; arguments as :meth:`align`."""
@@ -165,9 +169,11 @@ class DetailTransfer:
 
     def _record_detaching(self, meshes: wp.array, sides: int) -> list[RecordedLaunch]:
         means = wp.zeros((sides, self._coarse_count), dtype=mat_lanes, device=self.device)
+        inputs = [means, *self._rows, 1.0]
         return [
             self._split_coarse.record(downsample_meshes, [meshes, *self._members], [means]),
-            self._split.record(detach_meshes, [means, *self._rows, 1.0], [meshes]),
+            self._split.record(detach_meshes, inputs, [meshes]),
+            self._split.record(join_detached_meshes, inputs, [meshes, meshes[0]]),
         ]
 
     def _record_attaching(self, places: MeanPlaces) -> list[RecordedLaunch]:
@@ -182,12 +188,6 @@ class DetailTransfer:
     def blend(self, meshes: wp.array, shares: wp.array, positions: wp.array) -> None:
         """Weighted mean of detached meshes, shape [fine_count]; shares [mesh_count, fine_count] add up to 1 (W86)."""
         wp.launch(blend_meshes, self._fine_count, [meshes, shares], [positions], device=self.device)
-
-    def join(self, meshes: wp.array, positions: wp.array) -> None:
-        """The first detached mesh with the other meshes' offsets from it joined as joints' are, shape [fine_count]."""
-        if self._joining is None:
-            self._joining = self._split.record(join_meshes, [meshes], [positions])
-        self._joining({"meshes": meshes, "positions": positions})
 
 
 # --- the operator -------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ import pytest
 import warp as wp
 from cloth_shapes import tube
 from wrinkle_synthesis.kernels.blend import join_all_offsets
-from wrinkle_synthesis.kernels.transfer import blend_meshes, join_meshes
+from wrinkle_synthesis.kernels.transfer import blend_meshes
 from wrinkle_synthesis.wrinkle_addon.coarse_mesh import make_coarse_mesh
 from wrinkle_synthesis.wrinkle_addon.correspondence import find_correspondence
 from wrinkle_synthesis.wrinkle_addon.detail_transfer import (
@@ -129,10 +129,15 @@ def test_blending_is_the_weighted_mean(device, moved):
     assert np.abs(out.numpy() - (shares[..., None] * meshes).sum(0)).max() < 1e-6
 
 
-def test_joining_adds_offsets_from_the_first_mesh_as_joints_do(device, moved):
-    meshes = moved[0].astype(np.float32)
+def test_joining_adds_offsets_from_the_first_mesh_as_joints_do(device, sleeve, moved):
+    positions, faces, _, match = sleeve
+    transfer = DetailTransfer(match, positions, faces, device=device)
+    meshes, together = (wp.array(moved[0].astype(np.float32), dtype=wp.vec3, device=device) for _ in range(2))
     out, joined = (wp.zeros(meshes.shape[1], dtype=wp.vec3, device=device) for _ in range(2))
-    wp.launch(join_meshes, out.shape, [0, wp.array(meshes, dtype=wp.vec3, device=device)], [out], device=device)
-    offsets = wp.array(meshes[1:] - meshes[0], dtype=wp.vec3, device=device)
+    transfer.detach(together, joined=out)
+    transfer.detach(meshes)
+    first, *others = meshes.numpy()
+    offsets = wp.array(np.array(others) - first, dtype=wp.vec3, device=device)
     wp.launch(join_all_offsets, joined.shape, [offsets], [joined], device=device)
-    assert np.abs(out.numpy() - (meshes[0] + joined.numpy())).max() < 1e-6
+    assert np.abs(out.numpy() - (first + joined.numpy())).max() < 1e-6
+    np.testing.assert_array_equal(together.numpy(), meshes.numpy())

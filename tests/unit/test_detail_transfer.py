@@ -252,8 +252,7 @@ def test_groups_of_joints_are_synthesised_aligned_and_joined(tmp_path):
     found = wp.zeros(len(rest), dtype=wp.vec3, device="cpu")
     for k, strength in enumerate(strengths):
         evaluator.evaluate(pose, meshes[k], strength)
-    transfer.detach(meshes)
-    transfer.join(meshes, found)
+    transfer.detach(meshes, joined=found)
     transfer.attach(moved, found)
 
     alone = [wp.array(evaluator.positions(pose, strength), dtype=wp.vec3, device="cpu") for strength in strengths]

@@ -168,8 +168,9 @@ def read_scene(garments: Sequence[bpy.types.Object], depsgraph: bpy.types.Depsgr
             raise ValueError(f"The garment '{ob.name}' is hidden; show it to simulate, or switch its coarse layer off.")
     body = read_points(garments[0].wrinkles.body, depsgraph)
     motion: dict[str, Points] = {"body": body[:: -(-len(body) // BODY_POINTS)].copy()}
+    motion.update(_armature_motion(garments[0], depsgraph))
     for ob in garments:
-        motion.update(read_motion(ob, depsgraph))
+        motion.update(_skinned_motion(ob, depsgraph))
     carried = {ob.name: motion[_skinned(ob)] for ob in garments}
     return SceneFrame(depsgraph.scene.frame_current, body, carried, motion)
 
@@ -180,16 +181,24 @@ def _skinned(garment: bpy.types.Object) -> str:
 
 def read_motion(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Motion:
     """Points by which the motion of a garment's rig, and its own as Blender skins it, are told from another one."""
+    return {**_armature_motion(garment, depsgraph), **_skinned_motion(garment, depsgraph)}
+
+
+def _armature_motion(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Motion:
     armature = garment.wrinkles.armature.evaluated_get(depsgraph)
     bones = armature.pose.bones
     matrices = np.empty(16 * len(bones), np.float32)
     bones.foreach_get("matrix", matrices)
-    deforming = np.array([bone.use_deform for bone in armature.data.bones])
+    deforming = np.empty(len(bones), np.bool_)
+    armature.data.bones.foreach_get("use_deform", deforming)
     axes = matrices.reshape(-1, 4, 4)[deforming].astype(np.float64)
     arm = BONE_ARM / _units(depsgraph)
     points = np.concatenate([axes[:, 3, :3], *(axes[:, 3, :3] + arm * axes[:, k, :3] for k in (0, 1))])
-    skinned = read_points(garment.wrinkles.coarse, depsgraph)
-    return {"armature": _in_world(armature, points, depsgraph), _skinned(garment): skinned}
+    return {"armature": _in_world(armature, points, depsgraph)}
+
+
+def _skinned_motion(garment: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Motion:
+    return {_skinned(garment): read_points(garment.wrinkles.coarse, depsgraph)}
 
 
 def read_points(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Points:
