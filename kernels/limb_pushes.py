@@ -19,6 +19,19 @@ OVERSHOOT = wp.constant(3.0)
 # Depths in another limb at which the way to the crease begins to count and counts in full [m].
 ENTERED = wp.constant(wp.vec2(0.0005, 0.002))
 
+# Feet that are at most this far from each other [m] and whose normals have at least this cosine are one.
+ONE_PLACE = wp.constant(wp.float32(0.001))
+ONE_WAY = wp.constant(wp.float32(0.9))
+
+
+@wp.func
+def are_one_place(
+    height: wp.float32, normal: wp.vec3, other_height: wp.float32, other_normal: wp.vec3, metre: wp.float32
+):
+    """Whether two feet of a vertex are one place on the skin: limbs that a joint ties together are one surface."""
+    between = wp.length(height * normal - other_height * other_normal)
+    return between < ONE_PLACE * metre and wp.dot(normal, other_normal) > ONE_WAY
+
 
 @wp.func
 def move_out_of_limb(
@@ -32,19 +45,30 @@ def move_out_of_limb(
     height: wp.float32,
     normal: wp.vec3,
     needed: wp.float32,
+    dealt: wp.vec3,
     clearance: Clearance,
     tolerance: wp.float32,
 ):
-    """Move out of another limb of a vertex that now is at p, near its triangle ``begin``, and what it lacks there [m].
+    """Move out of another limb of a vertex that now is at p, near its triangle ``begin``, what it lacks there [m], and
+    where the limb's skin is then.
 
     ``height`` [m] and ``normal`` are those of where it was over its own limb; without a normal they are not known yet.
+    Skin at ``dealt`` was dealt with: limbs that a joint ties together are one surface.
     """
     move = wp.vec3()
     enough = needed * clearance.metre
-    _foot, g, m, trust = find_foot_within(
+    foot, g, m, trust = find_foot_within(
         surface, p, begin, surface.triangles[own][LIMB], tolerance * clearance.metre, enough
     )
     lack = needed - g / clearance.metre
+    wall_skin = p - g * m
+    if wp.length(wall_skin - dealt) < ONE_PLACE * clearance.metre:
+        lack = wp.float32(0.0)
+    # Skin that looks the other way is not the vertex's own.
+    if lack > 0.0 and (wp.dot(normal, m) > 0.0 or wp.length_sq(normal) == 0.0):
+        _here, own_height, own_normal, _sure = find_foot(surface, p, own, tolerance * clearance.metre)
+        if are_one_place(own_height, own_normal, g, m, clearance.metre):
+            lack = wp.float32(0.0)
     if lack > 0.0:
         n = normal
         h = height * clearance.metre
@@ -52,14 +76,14 @@ def move_out_of_limb(
             below = nearer_triangle(surface, grids, position, own)
             _face, h, n, _sure = find_foot(surface, position, below, tolerance * clearance.metre)
         skin = position - h * n
-        wall, wall_height, sure, apart = facing_wall(surface, grids, limb, skin, n, clearance, tolerance)
+        wall, wall_height, sure, apart = facing_wall(surface, grids, limb, foot, skin, n, clearance, tolerance)
         now = wp.dot(p - skin, n) / clearance.metre
         g = wall_height + wp.dot(p - skin, wall) / clearance.metre
         asked = height_between(needed, g, now, wp.max(-wp.dot(wall, n), 0.0))
         between = softened(wp.min(asked - g, OVERSHOOT * lack), clearance.soft, clearance.deep)
         shortest = trust * softened(lack, clearance.soft, clearance.overlap)
         move = apart * clearance.metre * (sure * between * wall + (1.0 - sure) * shortest * m)
-    return move, lack
+    return move, lack, wall_skin
 
 
 @wp.kernel
@@ -114,12 +138,13 @@ def push_between_limbs(
             pushed = p + push[v] * clearance.metre * normal[v]
             move = wp.vec3()
             most = wp.float32(0.0)
+            dealt = wp.vec3(NOWHERE)
             near = limbs & ~(1 << surface.triangles[own][LIMB])
             for limb in range(grids.extents.shape[0]):
                 if (near >> limb) & 1 != 0:
                     begin = limb_triangle(surface, grids, limb, pushed + move, clearance.metre)
                     if begin >= 0:
-                        away, lack = move_out_of_limb(
+                        away, lack, skin = move_out_of_limb(
                             surface,
                             grids,
                             limb,
@@ -130,11 +155,14 @@ def push_between_limbs(
                             height[v],
                             normal[v],
                             needed,
+                            dealt,
                             clearance,
                             tolerance,
                         )
                         move += away
-                        most = wp.max(most, lack)
+                        if lack > 0.0:
+                            most = wp.max(most, lack)
+                            dealt = skin
             moves[v] = move
             limb_lack[v] = most
 
@@ -168,13 +196,13 @@ def way_out_of_both(lack: wp.float32, normal: wp.vec3, other_lack: wp.float32, o
     cosine = wp.dot(normal, other_normal)
     move = wp.vec3()
     if lack > 0.0 or other_lack > 0.0:
-        if lack * cosine >= other_lack:
+        if lack > 0.0 and lack * cosine >= other_lack:
             move = lack * normal
-        elif other_lack * cosine >= lack:
+        elif other_lack > 0.0 and other_lack * cosine >= lack:
             move = other_lack * other_normal
         else:
-            # Planes that face each other meet nowhere near.
-            steep = wp.max(1.0 - cosine * cosine, 1.0e-4)
+            # Of the cosine, little is left of the angle between planes that face each other: they meet far away.
+            steep = wp.max(wp.length_sq(wp.cross(normal, other_normal)), 1.0e-12)
             move = ((lack - cosine * other_lack) * normal + (other_lack - cosine * lack) * other_normal) / steep
     return move
 
@@ -185,16 +213,25 @@ def move_to_crease(
     p: wp.vec3,
     own: wp.int32,
     other: wp.int32,
+    needed: wp.float32,
     clearance: Clearance,
     tolerance: wp.float32,
 ) -> wp.vec3:
     """Move of a vertex inside another limb, near its triangle ``other``, to where that meets its own, if it is near."""
     _foot, height, normal, trust = find_foot(surface, p, own, tolerance * clearance.metre)
     _other, other_height, other_normal, other_trust = find_foot(surface, p, other, tolerance * clearance.metre)
-    move = way_out_of_both(-height, normal, -other_height, other_normal)
-    far = wp.length(move) / clearance.metre
-    sure = trust * other_trust * rise_between(-other_height / clearance.metre, ENTERED[0], ENTERED[1])
-    return sure * (1.0 - rise_between(far, clearance.crease[0], clearance.crease[1])) * move
+    # What lay inside at rest may lie as deep here.
+    allowed = wp.min(needed, 0.0) * clearance.metre
+    lack = allowed - height
+    other_lack = allowed - other_height
+    sure = trust * other_trust * rise_between(other_lack / clearance.metre, ENTERED[0], ENTERED[1])
+    move = wp.vec3()
+    # Without trust a foot may have no numbers; of a single wall there is no crease.
+    if sure > 0.0 and not are_one_place(height, normal, other_height, other_normal, clearance.metre):
+        move = way_out_of_both(lack, normal, other_lack, other_normal)
+        far = wp.length(move) / clearance.metre
+        move *= sure * (1.0 - rise_between(far, clearance.crease[0], clearance.crease[1]))
+    return move
 
 
 @wp.kernel
@@ -232,12 +269,15 @@ def push_out(
             own = wp.where(face[v] >= 0, face[v], start[v])
             needed = needed_height(rest_height[v], clearance)
             place = pushed + move
+            deepest = wp.float32(0.0)
+            deepest_in = wp.int32(-1)
+            dealt = wp.vec3(NOWHERE)
             near = limbs_around(grids, place, place) & ~(1 << surface.triangles[own][LIMB])
             for limb in range(grids.extents.shape[0]):
                 if (near >> limb) & 1 != 0:
                     here = limb_triangle(surface, grids, limb, pushed + move, clearance.metre)
                     if here >= 0:
-                        away, lack = move_out_of_limb(
+                        away, lack, skin = move_out_of_limb(
                             surface,
                             grids,
                             limb,
@@ -248,11 +288,16 @@ def push_out(
                             height[v],
                             normal[v],
                             needed,
+                            dealt,
                             clearance,
                             tolerance,
                         )
                         move += away
-                        own_height = height[v] + push[v] + wp.dot(move, normal[v]) / clearance.metre
-                        if lack > needed or own_height < 0.0:
-                            move += move_to_crease(surface, pushed + move, own, here, clearance, tolerance)
+                        if lack > 0.0:
+                            dealt = skin
+                        if lack > deepest:
+                            deepest = lack
+                            deepest_in = here
+            if deepest_in >= 0:
+                move += move_to_crease(surface, pushed + move, own, deepest_in, needed, clearance, tolerance)
         positions[v] = pushed + move

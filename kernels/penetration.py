@@ -90,6 +90,7 @@ def facing_wall(
     surface: PosedSurface,
     grids: LimbGrids,
     limb: wp.int32,
+    otherwise: wp.int32,
     skin: wp.vec3,
     normal: wp.vec3,
     clearance: Clearance,
@@ -99,9 +100,12 @@ def facing_wall(
     it is one, and how far the limbs are apart (0 where they are so deep in each other that nothing is between them).
 
     Cloth belongs between the two, whichever way is shorter out of the other limb. What looks the same way as the skin
-    itself is no wall.
+    itself is no wall. Where the limb's grid does not reach, it is looked for from the triangle ``otherwise`` (-1: there
+    is none).
     """
     start = cell_triangle(grids, limb, skin)
+    if start < 0:
+        start = otherwise
     wall = normal
     height = wp.float32(0.0)
     trust = wp.float32(0.0)
@@ -130,7 +134,7 @@ def asked_height(
     asked = needed
     for limb in range(grids.extents.shape[0]):
         if (near >> limb) & 1 != 0:
-            wall, wall_height, sure, _apart = facing_wall(surface, grids, limb, skin, normal, clearance, tolerance)
+            wall, wall_height, sure, _apart = facing_wall(surface, grids, limb, -1, skin, normal, clearance, tolerance)
             cosine = wp.dot(wall, normal)
             facing = sure * wp.max(-cosine, 0.0)
             asked = wp.min(asked, height_between(needed, height, wall_height + cosine * height, facing))

@@ -70,6 +70,9 @@ class ClearanceSettings:
     def __post_init__(self) -> None:
         if not self.distance >= 0.0 or not self.spread >= 0.0:
             raise ValueError("The clearance and its spread must not be negative.")
+        for begin, end in (self.deep, self.overlap, self.crease):
+            if not 0.0 <= begin < end:
+                raise ValueError("What begins to fade at a lack, depth or distance must have faded at a larger one.")
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
+from wrinkle_synthesis.kernels.limb_pushes import way_out_of_both
 from wrinkle_synthesis.wrinkle_addon import method
 from wrinkle_synthesis.wrinkle_addon.cloth_contact import Limbs
 from wrinkle_synthesis.wrinkle_addon.garment import vertex_neighbours, vertex_normals
@@ -236,9 +237,12 @@ def test_nothing_outside_is_thrown_through_a_thin_limb_that_bends(slid):
 
 
 class TwoLimbs:
-    """Two cylinders side by side, far apart at rest, each in a sleeve of its own; the right one moves."""
+    """Two cylinders side by side, far apart at rest, each in a sleeve of its own; the right one moves.
 
-    def __init__(self, settings=None):
+    The left one may be ``jointed``: two limbs, one above the other.
+    """
+
+    def __init__(self, settings=None, jointed=False):
         one, one_faces = tube(RADIUS, 61, 64, LENGTH, 0.01)
         cloth, cloth_faces = tube(RADIUS + 0.005, 41, 64, 0.3, 0.03)
         cloth += [0.0, 0.0, 0.05]
@@ -249,15 +253,24 @@ class TwoLimbs:
         self.faces = np.concatenate([cloth_faces, cloth_faces + len(cloth)])
         self.count, self.right = len(cloth), np.arange(len(one), 2 * len(one))
         limb = np.repeat([0, 1], len(one_faces)).astype(np.int32)
-        limbs = Limbs(limb, np.repeat([1, 2], len(cloth)).astype(np.int32))
+        worn = np.repeat([1, 2], len(cloth)).astype(np.int32)
+        if jointed:
+            limb[: len(one_faces)][one[one_faces].mean(1)[:, 2] > 0.2] = 2
+            worn[: len(cloth)][cloth[:, 2] > 0.2] = 4
+        limbs = Limbs(limb, worn)
         self.push = PushOut(bind_clearance(self.rest, self.faces, self.body, self.body_faces, limbs), settings)
 
-    def at(self, gap):
-        """Body and garment with this gap between the cylinders [m], and the garment after the push."""
+    def posed(self, gap):
+        """Body and garment with this gap between the cylinders [m]."""
         shift = [2.0 * RADIUS + gap - 0.4, 0.0, 0.0]
         body, cloth = self.body.copy(), self.rest.copy()
         body[self.right] += shift
         cloth[self.count :] += shift
+        return body, cloth
+
+    def at(self, gap):
+        """The garment with this gap between the cylinders [m], and after the push."""
+        body, cloth = self.posed(gap)
         return cloth, cleared(self.push, body, cloth)
 
 
@@ -321,12 +334,74 @@ def test_cloth_between_limbs_comes_out_where_they_meet(two_limbs, gap):
     assert np.array_equal(out[stays], left_inside[stays])
 
 
-def test_cloth_comes_out_steadily_as_limbs_meet(two_limbs):
-    step = 1e-4
-    tracks = np.array([two_limbs.at(gap)[1] for gap in np.arange(-0.012, 0.004, step)])
-    # A crease goes some times as fast as the limbs that make it, faster still the shallower they overlap.
+@pytest.mark.parametrize("jointed", [False, True])
+def test_cloth_comes_out_steadily_as_limbs_meet(jointed):
+    limbs, step = TwoLimbs(jointed=jointed), 1e-4
+    tracks = np.array([limbs.at(gap)[1] for gap in np.arange(-0.012, 0.004, step)])
     moved = np.linalg.norm(np.diff(tracks, axis=0), axis=2)
+    # A crease goes some times as fast as the limbs that make it, faster still the shallower they overlap.
     assert moved.max() < 8.0 * step
+
+
+def test_what_faces_another_limb_in_one_line_with_it_is_not_thrown(two_limbs):
+    # Where walls face each other they meet nowhere near, however closely they do.
+    around = -0.006 + 1e-6 * np.arange(-20, 20)
+    tracks = np.array([two_limbs.at(gap)[1] for gap in around])
+    assert np.linalg.norm(np.diff(tracks, axis=0), axis=2).max() < 2e-5
+
+
+def test_where_a_limb_has_a_joint_cloth_lies_as_on_a_whole_one(two_limbs):
+    jointed = TwoLimbs(jointed=True)
+    for gap in (-0.006, -0.01, -0.02):
+        away = np.linalg.norm(jointed.at(gap)[1] - two_limbs.at(gap)[1], axis=1)
+        assert away.max() < 0.001
+
+
+def test_flat_faces_between_limbs_harm_nothing(two_limbs):
+    body, cloth = two_limbs.posed(-0.006)
+    facing = np.flatnonzero(np.abs(body[:, 0] - RADIUS) < 0.005)
+    for vertex in np.random.default_rng(4).permutation(facing)[:60]:
+        flat = body.copy()
+        flat[vertex] = body[vertex + 1]
+        assert np.isfinite(cleared(two_limbs.push, flat, cloth)).all()
+
+
+@wp.kernel
+def ways_out(
+    lacks: wp.array[wp.float32],
+    normals: wp.array[wp.vec3],
+    other_lacks: wp.array[wp.float32],
+    other_normals: wp.array[wp.vec3],
+    ways: wp.array[wp.vec3],
+):
+    i = wp.tid()
+    ways[i] = way_out_of_both(lacks[i], normals[i], other_lacks[i], other_normals[i])
+
+
+def test_the_way_out_of_two_planes_is_the_shortest():
+    rng = np.random.default_rng(5)
+    count = 5000
+    lacks = rng.uniform(-1.0, 1.0, (2, count))
+    normals = rng.normal(size=(2, count, 3))
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    found = wp.zeros(count, dtype=wp.vec3, device="cpu")
+    inputs = [wp.array(values.astype(np.float32), device="cpu") for values in (lacks[0], lacks[1])]
+    vectors = [wp.array(values.astype(np.float32), dtype=wp.vec3, device="cpu") for values in normals]
+    wp.launch(ways_out, count, [inputs[0], vectors[0], inputs[1], vectors[1]], [found], device="cpu")
+    # All that can be shortest: nothing, out of either alone, out of both at once.
+    cosine = (normals[0] * normals[1]).sum(1)
+    first = (lacks[0] - cosine * lacks[1]) / (1.0 - cosine**2)
+    second = (lacks[1] - cosine * lacks[0]) / (1.0 - cosine**2)
+    both = first[:, None] * normals[0] + second[:, None] * normals[1]
+    ways = np.stack([np.zeros((count, 3)), lacks[0][:, None] * normals[0], lacks[1][:, None] * normals[1], both])
+    enough = (np.einsum("wvi,pvi->wpv", ways, normals) > lacks - 1e-9).all(1)
+    lengths = np.where(enough, np.linalg.norm(ways, axis=2), np.inf).min(0)
+    moved = found.numpy().astype(np.float64)
+    # Where planes nearly face each other, the way is long and as exact as their angle is in float32.
+    near = lengths < 10.0
+    assert near.mean() > 0.9
+    assert np.abs(np.linalg.norm(moved, axis=1) - lengths)[near].max() < 1e-3
+    assert ((moved * normals).sum(2) > lacks - 1e-3)[:, near].all()
 
 
 # --- a garment over another one -----------------------------------------------------------------------------------
@@ -349,11 +424,9 @@ def test_an_outer_garment_is_kept_outside_an_inner_one(worn):
 # --- how it runs --------------------------------------------------------------------------------------------------
 
 
-def test_any_unit_of_length_gives_the_same(two_limbs):
-    shift = [2.0 * RADIUS + 0.004 - 0.4, 0.0, 0.0]
-    body, cloth = two_limbs.body.copy(), two_limbs.rest.copy()
-    body[two_limbs.right] += shift
-    cloth[two_limbs.count :] += shift
+@pytest.mark.parametrize("gap", [0.004, -0.01])
+def test_any_unit_of_length_gives_the_same(two_limbs, gap):
+    body, cloth = two_limbs.posed(gap)
     out = cleared(two_limbs.push, body, cloth)
     in_centimetres = cleared(two_limbs.push, 100.0 * body, 100.0 * cloth, metre=100.0)
     assert in_centimetres == pytest.approx(100.0 * out, abs=1e-2)
@@ -370,6 +443,14 @@ def test_a_frame_does_not_depend_on_the_one_before(two_limbs):
     first = two_limbs.at(0.002)[1]
     two_limbs.at(-0.02)
     assert np.array_equal(two_limbs.at(0.002)[1], first)
+
+
+@pytest.mark.parametrize(
+    "settings", [{"distance": -0.001}, {"spread": -0.01}, {"crease": (0.01, 0.01)}, {"deep": (0.1, 0.05)}]
+)
+def test_settings_without_a_meaning_are_refused(settings):
+    with pytest.raises(ValueError, match=r"\.$"):
+        ClearanceSettings(**settings)
 
 
 def test_a_body_with_other_vertices_is_refused(worn):
