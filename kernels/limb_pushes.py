@@ -46,14 +46,15 @@ def move_out_of_limb(
     normal: wp.vec3,
     needed: wp.float32,
     dealt: wp.vec3,
+    dealt_normal: wp.vec3,
     clearance: Clearance,
     tolerance: wp.float32,
 ):
     """Move out of another limb of a vertex that now is at p, near its triangle ``begin``, what it lacks there [m], and
-    where the limb's skin is then.
+    the limb's skin below it: place and normal.
 
     ``height`` [m] and ``normal`` are those of where it was over its own limb; without a normal they are not known yet.
-    Skin at ``dealt`` was dealt with: limbs that a joint ties together are one surface.
+    Skin at ``dealt`` that looks the same way was dealt with: limbs that a joint ties together are one surface.
     """
     move = wp.vec3()
     enough = needed * clearance.metre
@@ -62,7 +63,7 @@ def move_out_of_limb(
     )
     lack = needed - g / clearance.metre
     wall_skin = p - g * m
-    if wp.length(wall_skin - dealt) < ONE_PLACE * clearance.metre:
+    if wp.length(wall_skin - dealt) < ONE_PLACE * clearance.metre and wp.dot(m, dealt_normal) > ONE_WAY:
         lack = wp.float32(0.0)
     # Skin that looks the other way is not the vertex's own.
     if lack > 0.0 and (wp.dot(normal, m) > 0.0 or wp.length_sq(normal) == 0.0):
@@ -83,7 +84,7 @@ def move_out_of_limb(
         between = softened(wp.min(asked - g, OVERSHOOT * lack), clearance.soft, clearance.deep)
         shortest = trust * softened(lack, clearance.soft, clearance.overlap)
         move = apart * clearance.metre * (sure * between * wall + (1.0 - sure) * shortest * m)
-    return move, lack, wall_skin
+    return move, lack, wall_skin, m
 
 
 @wp.kernel
@@ -139,12 +140,13 @@ def push_between_limbs(
             move = wp.vec3()
             most = wp.float32(0.0)
             dealt = wp.vec3(NOWHERE)
+            dealt_normal = wp.vec3()
             near = limbs & ~(1 << surface.triangles[own][LIMB])
             for limb in range(grids.extents.shape[0]):
                 if (near >> limb) & 1 != 0:
                     begin = limb_triangle(surface, grids, limb, pushed + move, clearance.metre)
                     if begin >= 0:
-                        away, lack, skin = move_out_of_limb(
+                        away, lack, skin, outward = move_out_of_limb(
                             surface,
                             grids,
                             limb,
@@ -156,6 +158,7 @@ def push_between_limbs(
                             normal[v],
                             needed,
                             dealt,
+                            dealt_normal,
                             clearance,
                             tolerance,
                         )
@@ -163,6 +166,7 @@ def push_between_limbs(
                         if lack > 0.0:
                             most = wp.max(most, lack)
                             dealt = skin
+                            dealt_normal = outward
             moves[v] = move
             limb_lack[v] = most
 
@@ -272,12 +276,13 @@ def push_out(
             deepest = wp.float32(0.0)
             deepest_in = wp.int32(-1)
             dealt = wp.vec3(NOWHERE)
+            dealt_normal = wp.vec3()
             near = limbs_around(grids, place, place) & ~(1 << surface.triangles[own][LIMB])
             for limb in range(grids.extents.shape[0]):
                 if (near >> limb) & 1 != 0:
                     here = limb_triangle(surface, grids, limb, pushed + move, clearance.metre)
                     if here >= 0:
-                        away, lack, skin = move_out_of_limb(
+                        away, lack, skin, outward = move_out_of_limb(
                             surface,
                             grids,
                             limb,
@@ -289,12 +294,14 @@ def push_out(
                             normal[v],
                             needed,
                             dealt,
+                            dealt_normal,
                             clearance,
                             tolerance,
                         )
                         move += away
                         if lack > 0.0:
                             dealt = skin
+                            dealt_normal = outward
                         if lack > deepest:
                             deepest = lack
                             deepest_in = here

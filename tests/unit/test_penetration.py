@@ -361,6 +361,24 @@ def test_where_a_limb_has_a_joint_cloth_lies_as_on_a_whole_one(two_limbs):
         assert away.max() < 0.001
 
 
+@pytest.mark.parametrize("order", [(0, 1, 2), (0, 2, 1)])
+def test_limbs_that_touch_face_to_face_push_both(order):
+    # A wide sleeve on one cylinder, into which two others dip that come to touch each other.
+    one, one_faces = tube(RADIUS, 61, 64, LENGTH, 0.01)
+    cloth, faces = tube(RADIUS + 0.06, 41, 96, 0.3, 0.03)
+    cloth += [0.0, 0.0, 0.05]
+    at_rest = np.concatenate([one, one + [0.4, 0.0, 0.0], one - [0.4, 0.0, 0.0]])
+    body_faces = np.concatenate([one_faces + k * len(one) for k in range(3)])
+    limbs = Limbs(np.repeat(order, len(one_faces)).astype(np.int32), np.full(len(cloth), 1, np.int32))
+    push = PushOut(bind_clearance(cloth, faces, at_rest, body_faces, limbs))
+    step, tracks = 1e-4, []
+    for gap in np.arange(-0.0015, 0.0015, step):
+        aside = np.array([RADIUS + 0.5 * gap, 0.11, 0.0])
+        mirrored = aside * [-1.0, 1.0, 1.0]
+        tracks.append(cleared(push, np.concatenate([one, one + aside, one + mirrored]), cloth))
+    assert np.linalg.norm(np.diff(tracks, axis=0), axis=2).max() < 8.0 * step
+
+
 def test_flat_faces_between_limbs_harm_nothing(two_limbs):
     body, cloth = two_limbs.posed(-0.006)
     facing = np.flatnonzero(np.abs(body[:, 0] - RADIUS) < 0.005)
