@@ -87,6 +87,58 @@ def move_out_of_limb(
     return move, lack, wall_skin, m
 
 
+@wp.func
+def move_out_of_limbs(
+    surface: PosedSurface,
+    grids: LimbGrids,
+    limbs: wp.int32,
+    pushed: wp.vec3,
+    begun: wp.vec3,
+    position: wp.vec3,
+    own: wp.int32,
+    height: wp.float32,
+    normal: wp.vec3,
+    needed: wp.float32,
+    clearance: Clearance,
+    tolerance: wp.float32,
+):
+    """Go on with the move ``begun`` of a vertex that was ``pushed`` out of its own limb, out of these limbs one after
+    the other: the whole move, the most that it lacked [m], and a triangle of the limb where it did, -1 for none."""
+    move = begun
+    most = wp.float32(0.0)
+    most_in = wp.int32(-1)
+    dealt = wp.vec3(NOWHERE)
+    dealt_normal = wp.vec3()
+    for limb in range(grids.extents.shape[0]):
+        if (limbs >> limb) & 1 != 0:
+            begin = limb_triangle(surface, grids, limb, pushed + move, clearance.metre)
+            if begin >= 0:
+                away, lack, skin, outward = move_out_of_limb(
+                    surface,
+                    grids,
+                    limb,
+                    begin,
+                    pushed + move,
+                    position,
+                    own,
+                    height,
+                    normal,
+                    needed,
+                    dealt,
+                    dealt_normal,
+                    clearance,
+                    tolerance,
+                )
+                move += away
+                if lack > 0.0:
+                    dealt = skin
+                    dealt_normal = outward
+                if lack > most:
+                    most = lack
+                    most_in = begin
+    return move, most, most_in
+
+
 @wp.kernel
 def push_between_limbs(
     first: wp.int32,
@@ -137,36 +189,24 @@ def push_between_limbs(
             own = wp.where(face[v] >= 0, face[v], start[v])
             needed = needed_height(rest_height[v], clearance)
             pushed = p + push[v] * clearance.metre * normal[v]
+            near = limbs & ~(1 << surface.triangles[own][LIMB])
             move = wp.vec3()
             most = wp.float32(0.0)
-            dealt = wp.vec3(NOWHERE)
-            dealt_normal = wp.vec3()
-            near = limbs & ~(1 << surface.triangles[own][LIMB])
-            for limb in range(grids.extents.shape[0]):
-                if (near >> limb) & 1 != 0:
-                    begin = limb_triangle(surface, grids, limb, pushed + move, clearance.metre)
-                    if begin >= 0:
-                        away, lack, skin, outward = move_out_of_limb(
-                            surface,
-                            grids,
-                            limb,
-                            begin,
-                            pushed + move,
-                            p,
-                            own,
-                            height[v],
-                            normal[v],
-                            needed,
-                            dealt,
-                            dealt_normal,
-                            clearance,
-                            tolerance,
-                        )
-                        move += away
-                        if lack > 0.0:
-                            most = wp.max(most, lack)
-                            dealt = skin
-                            dealt_normal = outward
+            if near != 0:
+                move, most, _most_in = move_out_of_limbs(
+                    surface,
+                    grids,
+                    near,
+                    pushed,
+                    move,
+                    p,
+                    own,
+                    height[v],
+                    normal[v],
+                    needed,
+                    clearance,
+                    tolerance,
+                )
             moves[v] = move
             limb_lack[v] = most
 
@@ -273,38 +313,21 @@ def push_out(
             own = wp.where(face[v] >= 0, face[v], start[v])
             needed = needed_height(rest_height[v], clearance)
             place = pushed + move
-            deepest = wp.float32(0.0)
-            deepest_in = wp.int32(-1)
-            dealt = wp.vec3(NOWHERE)
-            dealt_normal = wp.vec3()
             near = limbs_around(grids, place, place) & ~(1 << surface.triangles[own][LIMB])
-            for limb in range(grids.extents.shape[0]):
-                if (near >> limb) & 1 != 0:
-                    here = limb_triangle(surface, grids, limb, pushed + move, clearance.metre)
-                    if here >= 0:
-                        away, lack, skin, outward = move_out_of_limb(
-                            surface,
-                            grids,
-                            limb,
-                            here,
-                            pushed + move,
-                            p,
-                            own,
-                            height[v],
-                            normal[v],
-                            needed,
-                            dealt,
-                            dealt_normal,
-                            clearance,
-                            tolerance,
-                        )
-                        move += away
-                        if lack > 0.0:
-                            dealt = skin
-                            dealt_normal = outward
-                        if lack > deepest:
-                            deepest = lack
-                            deepest_in = here
-            if deepest_in >= 0:
-                move += move_to_crease(surface, pushed + move, own, deepest_in, needed, clearance, tolerance)
+            move, _most, most_in = move_out_of_limbs(
+                surface,
+                grids,
+                near,
+                pushed,
+                move,
+                p,
+                own,
+                height[v],
+                normal[v],
+                needed,
+                clearance,
+                tolerance,
+            )
+            if most_in >= 0:
+                move += move_to_crease(surface, pushed + move, own, most_in, needed, clearance, tolerance)
         positions[v] = pushed + move
