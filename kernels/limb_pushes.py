@@ -18,7 +18,6 @@ wp.set_module_options({"enable_backward": False})
 OVERSHOOT = wp.constant(3.0)
 # Depths in another limb at which the way to the crease begins to count and counts in full [m].
 ENTERED = wp.constant(wp.vec2(0.0005, 0.002))
-
 # Feet that are at most this far from each other [m] and whose normals have at least this cosine are one.
 ONE_PLACE = wp.constant(wp.float32(0.001))
 ONE_WAY = wp.constant(wp.float32(0.9))
@@ -27,7 +26,7 @@ ONE_WAY = wp.constant(wp.float32(0.9))
 @wp.func
 def are_one_place(
     height: wp.float32, normal: wp.vec3, other_height: wp.float32, other_normal: wp.vec3, metre: wp.float32
-):
+) -> wp.bool:
     """Whether two feet of a vertex are one place on the skin: limbs that a joint ties together are one surface."""
     between = wp.length(height * normal - other_height * other_normal)
     return between < ONE_PLACE * metre and wp.dot(normal, other_normal) > ONE_WAY
@@ -102,8 +101,9 @@ def move_out_of_limbs(
     clearance: Clearance,
     tolerance: wp.float32,
 ):
-    """Go on with the move ``begun`` of a vertex that was ``pushed`` out of its own limb, out of these limbs one after
-    the other: the whole move, the most that it lacked [m], and a triangle of the limb where it did, -1 for none."""
+    """Go on with the move ``begun`` of a vertex that was ``pushed`` out of its own limb, out of these limbs (bits) one
+    after the other: the whole move, the most that it lacked [m], and a triangle of the limb where it did, -1 for none.
+    """
     move = begun
     most = wp.float32(0.0)
     most_in = wp.int32(-1)
