@@ -71,6 +71,8 @@ class BlockSystem:
         triangle, pair = np.divmod(model.contributions, 9)
         self._contributions = upload(triangle << 4 | (pair // 3) << 2 | pair % 3, wp.int32)
         self._block_bending = upload(model.block_bending, wp.float64)
+        own_bending = np.bincount(rows_of(model.row_start), model.block_bending, vertex_count)
+        self._own_bending = upload(own_bending, wp.float64)
         self._mirrored = upload(_mirrored(model), wp.vec2i)
         self._far_start = upload(model.far_start, wp.int32)
         self._far_columns = upload(model.far_columns, wp.int32)
@@ -116,6 +118,13 @@ class BlockSystem:
                 self._block_bending,
                 self._mirrored,
             ],
+            outputs=[self.blocks],
+            device=self._device,
+        )
+        wp.launch(
+            assembly.assemble_own_blocks,
+            dim=self.shape,
+            inputs=[self._row_start, self._diagonal_entry, self._own_bending],
             outputs=[self.blocks],
             device=self._device,
         )
@@ -314,11 +323,11 @@ class BlockSystem:
 
 
 def _mirrored(model: ClothModel) -> IntArray:
-    """Blocks on and above the diagonal, each with the one that mirrors it, shape [pair_count, 2]."""
+    """Blocks above the diagonal, each with the one that mirrors it, shape [pair_count, 2]."""
     rows, columns = rows_of(model.row_start).astype(np.int64), model.columns.astype(np.int64)
     # Ascending, as blocks are.
     mirror = np.searchsorted(rows * model.vertex_count + columns, columns * model.vertex_count + rows)
-    above = np.flatnonzero(rows <= columns)
+    above = np.flatnonzero(rows < columns)
     return np.stack([above, mirror[above]], 1).astype(np.int32)
 
 

@@ -217,14 +217,13 @@ def assemble_blocks(
     # outputs
     blocks: wp.array2d[wp.mat33],
 ):
-    """Membrane and bending Hessian on the one-ring [N/m]; contributions are triangle << 4 | row << 2 | column.
+    """Membrane and bending Hessian between neighbours [N/m]; contributions are triangle << 4 | row << 2 | column.
 
-    ``tangent`` and ``held`` come from :func:`~.triangles.linearise_triangles`; ``mirrored`` are the blocks on and above
-    the diagonal, each with the one that mirrors it.
+    ``tangent`` and ``held`` come from :func:`~.triangles.linearise_triangles`; ``mirrored`` are the blocks above the
+    diagonal, each with the one that mirrors it.
     """
     world, pair = wp.tid()
     entry = mirrored[pair][0]
-    mirror = mirrored[pair][1]
     total = block_bending[entry] * wp.identity(n=3, dtype=wp.float64)
     for k in range(contribution_start[entry], contribution_start[entry + 1]):
         code = contributions[k]
@@ -236,8 +235,28 @@ def assemble_blocks(
         )
     block = wp.mat33(total)
     blocks[world, entry] = block
-    if mirror != entry:
-        blocks[world, mirror] = wp.transpose(block)
+    blocks[world, mirrored[pair][1]] = wp.transpose(block)
+
+
+@wp.kernel
+def assemble_own_blocks(
+    row_start: wp.array[wp.int32],
+    diagonal_entry: wp.array[wp.int32],
+    own_bending: wp.array[wp.float64],
+    # in and out
+    blocks: wp.array2d[wp.mat33],
+):
+    """Membrane and bending Hessian of each vertex with itself [N/m], which leaves no force if all move alike.
+
+    ``own_bending`` is the sum of ``block_bending`` over the vertex's row: what bending outside the row takes up.
+    """
+    world, vertex = wp.tid()
+    own = diagonal_entry[vertex]
+    others = wp.mat33d()
+    for k in range(row_start[vertex], row_start[vertex + 1]):
+        if k != own:
+            others += wp.mat33d(blocks[world, k])
+    blocks[world, own] = wp.mat33(own_bending[vertex] * wp.identity(n=3, dtype=wp.float64) - others)
 
 
 @wp.kernel
