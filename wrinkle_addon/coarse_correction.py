@@ -20,12 +20,12 @@ class CoarseCorrection:
 
     Args:
         model: The garment.
-        far_coefficients: Of the bending beyond the one-ring [N/m], on the device.
+        device: Warp device.
         world_count: Copies of the garment.
     """
 
-    def __init__(self, model: ClothModel, far_coefficients: wp.array, world_count: int):
-        self._device = far_coefficients.device
+    def __init__(self, model: ClothModel, device: wp.Device, world_count: int):
+        self._device = device
         self._worlds, self._vertex_count = world_count, model.vertex_count
         first, second = coarse_levels(model)
         self._first, self._second = self._upload(first), self._upload(second)
@@ -36,6 +36,7 @@ class CoarseCorrection:
             return wp.array(values, dtype=wp.int32, device=self._device)
 
         self._near = [upload(rows_of(model.row_start)), upload(model.columns)]
+        far_coefficients = wp.array(model.far_coefficients, dtype=wp.float32, device=device)
         self._far = [upload(rows_of(model.far_start)), upload(model.far_columns), far_coefficients]
 
         def vectors(count: int) -> wp.array:

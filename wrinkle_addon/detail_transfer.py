@@ -55,7 +55,7 @@ from .cloth_model import FloatArray, IntArray
 from .correspondence import Correspondence
 from .garment import Regions, vertex_neighbours
 from .method import RecordedLaunch, SplitLaunch
-from .topology import border_edges, row_starts, rows_of
+from .topology import border_edges, by_fours, row_starts, rows_of
 
 SMOOTHING_STEP = 0.5
 """Share of the way to its neighbours' mean that a value goes in one iteration; below 1, or values would oscillate."""
@@ -266,19 +266,6 @@ def smoothed_weights(
     rows, columns, weights = rows[order], columns[order], weights[order].astype(np.float64)
     weights /= np.bincount(rows, weights, match.fine_count)[rows]
     return row_starts(rows, match.fine_count), columns.astype(np.int32), weights.astype(np.float32)
-
-
-def by_fours(
-    start: IntArray, columns: IntArray, weights: NDArray[np.float32]
-) -> tuple[IntArray, IntArray, NDArray[np.float32]]:
-    """Rows of a sparse matrix four entries at a time, the last ones of each row filled up with zeros."""
-    row = rows_of(start)
-    fours = -(-np.diff(start) // 4)
-    first = np.concatenate([[0], np.cumsum(fours)]).astype(np.int32)
-    place = 4 * first[row] + np.arange(len(columns)) - start[row]
-    wide_columns, wide_weights = np.zeros(4 * first[-1], np.int32), np.zeros(4 * first[-1], np.float32)
-    wide_columns[place], wide_weights[place] = columns, weights
-    return first, wide_columns.reshape(-1, 4), wide_weights.reshape(-1, 4)
 
 
 def cotangent_weights(positions: FloatArray, faces: IntArray) -> tuple[IntArray, IntArray, NDArray[np.float32]]:

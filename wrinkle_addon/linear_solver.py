@@ -13,7 +13,7 @@ from .cloth_model import ClothModel
 from .coarse_correction import CoarseCorrection
 from .elasticity import Elasticity
 from .launch_graph import LaunchGraph
-from .topology import IntArray, rows_of
+from .topology import IntArray, by_fours, rows_of
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -74,9 +74,9 @@ class BlockSystem:
         own_bending = np.bincount(rows_of(model.row_start), model.block_bending, vertex_count)
         self._own_bending = upload(own_bending, wp.float64)
         self._mirrored = upload(_mirrored(model), wp.vec2i)
-        self._far_start = upload(model.far_start, wp.int32)
-        self._far_columns = upload(model.far_columns, wp.int32)
-        self._far_coefficients = upload(model.far_coefficients, wp.float32)
+        far = by_fours(model.far_start, model.far_columns, model.far_coefficients.astype(np.float32))
+        kinds = wp.int32, wp.vec4i, wp.vec4
+        self._far = [upload(values, kind) for values, kind in zip(far, kinds, strict=True)]
 
         def vectors() -> wp.array:
             return wp.zeros(self.shape, dtype=wp.vec3, device=device)
@@ -87,7 +87,7 @@ class BlockSystem:
         self.blocks = wp.zeros((world_count, len(model.columns)), dtype=wp.mat33, device=device)
         self._diagonal = wp.zeros(self.shape, dtype=wp.mat33, device=device)
         self._inverse = wp.zeros(self.shape, dtype=wp.mat33, device=device)
-        self._correction = CoarseCorrection(model, self._far_coefficients, world_count) if corrected else None
+        self._correction = CoarseCorrection(model, device, world_count) if corrected else None
         self._hold_pairs()
         self.solution, self._residual, self._direction = vectors(), vectors(), vectors()
         self._preconditioned, self._product = vectors(), vectors()
@@ -219,9 +219,7 @@ class BlockSystem:
                 self._row_start,
                 self._columns,
                 self.blocks,
-                self._far_start,
-                self._far_columns,
-                self._far_coefficients,
+                *self._far,
                 self._contact,
                 self._pair_force,
                 self._active,

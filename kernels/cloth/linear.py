@@ -37,15 +37,18 @@ def multiply(
     columns: wp.array[wp.int32],
     blocks: wp.array2d[wp.mat33],
     far_start: wp.array[wp.int32],
-    far_columns: wp.array[wp.int32],
-    far_coefficients: wp.array[wp.float32],
+    far_columns: wp.array[wp.vec4i],
+    far_coefficients: wp.array[wp.vec4],
     contact: Contact,
     pair_force: wp.array[wp.vec3],
     active: wp.array[wp.int32],
     # outputs
     product: wp.array2d[wp.vec3],
 ):
-    """Hessian times direction, row by row [N]; worlds that are done keep what they had."""
+    """Hessian times direction, row by row [N], the far entries of a row four at a time.
+
+    Worlds that are done keep what they had.
+    """
     world, vertex = wp.tid()
     if active[world] == 0:
         return
@@ -53,7 +56,11 @@ def multiply(
     for k in range(row_start[vertex], row_start[vertex + 1]):
         total += blocks[world, k] * direction[world, columns[k]]
     for k in range(far_start[vertex], far_start[vertex + 1]):
-        total += far_coefficients[k] * direction[world, far_columns[k]]
+        c = far_columns[k]
+        w = far_coefficients[k]
+        total += (w[0] * direction[world, c[0]] + w[1] * direction[world, c[1]]) + (
+            w[2] * direction[world, c[2]] + w[3] * direction[world, c[3]]
+        )
     product[world, vertex] = total + gather_pairs(pair_force, contact, world * direction.shape[1] + vertex)
 
 
