@@ -131,12 +131,14 @@ def blend_offsets(
     corner_weight: wp.array[CornerWeights],
     strength: wp.array[wp.float32],
     mesh_of_joint: wp.array[wp.int32],
-    placement: wp.array[wp.vec4],
+    placement: wp.array[wp.mat33],
     # outputs
     sums: Sums,
     positions: wp.array2d[wp.vec3],
 ):
-    """p(v) = x(v) + Q(v) d(v), d joined from strength_J phi_J(v) delta_J(v, a_J) of all joints of a mesh [m].
+    """p(v) = x(v) + Q(v) d(v), d joined from strength_J phi_J(v) delta_J(v, a_J) of all joints of a mesh.
+
+    The first mesh is the garment with its joints; of every other one it is the offset Q(v) d(v) alone.
 
     Blocks of vertices from ``first`` on; each thread of a split launch has its own part. Joint by joint a block is
     read in long runs, which a CPU takes at several times the speed of vertex by vertex; on a GPU blocks are single
@@ -146,7 +148,8 @@ def blend_offsets(
         corner_start: Where each corner's sample begins, -1 past the last corner in use, shape [joint_count].
         corner_weight: Weights of the corners; the rest sample's offset is zero and left out.
         mesh_of_joint: Row of ``positions``, shape [mesh_count, vertex_count], that each joint counts in.
-        placement: Three rows of the matrix that takes rig space to the space asked for.
+        matrices: Of the bones, into the space asked for.
+        placement: What takes directions in rig space [m] there, one matrix.
     """
     block = first + wp.tid()
     begin = block * samples.block_size
@@ -163,11 +166,19 @@ def blend_offsets(
         if corner_start[joint][0] >= 0 and strength[joint] != 0.0:
             find_largest(samples, block, joint, mesh_of_joint[joint], sums)
     for vertex in range(begin, end):
-        skinned = skinned_position(skin, matrices, vertex)
         turn = skinned_turn(skin, turns, vertex)
         for mesh in range(positions.shape[0]):
             offset = join_offsets(sums.total[mesh, vertex], sums.largest[mesh, vertex])
-            positions[mesh, vertex] = transform(placement, 0, skinned + wp.quat_rotate(turn, offset))
+            positions[mesh, vertex] = placement[0] * wp.quat_rotate(turn, offset)
+        positions[0, vertex] = positions[0, vertex] + skinned_position(skin, matrices, vertex)
+
+
+@wp.kernel
+def take_first_away(positions: wp.array2d[wp.vec3]):
+    """Turn all meshes but the first into their offsets from it."""
+    vertex = wp.tid()
+    for mesh in range(1, positions.shape[0]):
+        positions[mesh, vertex] -= positions[0, vertex]
 
 
 @wp.struct
@@ -241,13 +252,13 @@ def blend_positions(
     frames: wp.array[wp.vec4],
     matrices: wp.array[wp.vec4],
     strength: wp.array[wp.float32],
-    placement: wp.array[wp.vec4],
     # outputs
     positions: wp.array[wp.vec3],
 ):
-    """The joints' wrinkle meshes, each carried rigidly with the vertex's region into the pose, averaged by eq 4 [m].
+    """The joints' wrinkle meshes, each carried rigidly with the vertex's region into the pose, averaged by eq 4.
 
-    A joint of strength s gives s of its own mesh and 1 - s of the skinned garment; so does a region without joints.
+    Bones and frames lead into the space asked for. A joint of strength s gives s of its own mesh and 1 - s of the
+    skinned garment; so does a region without joints.
     """
     vertex = first + wp.tid()
     total = wp.vec3()
@@ -261,4 +272,4 @@ def blend_positions(
             used += weight
     if used != 1.0:
         total += (1.0 - used) * skinned_position(skin, matrices, vertex)
-    positions[vertex] = transform(placement, 0, total)
+    positions[vertex] = total

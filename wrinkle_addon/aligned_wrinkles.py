@@ -62,10 +62,10 @@ class AlignedWrinkles:
         """
         if len(self._meshes):
             self._evaluator.evaluate_apart(pose, self.groups, self._meshes, strengths, placement)
-            self._transfer.detach(self._meshes, follow, joined=out)
+            self._transfer.join(self._meshes, out, follow)
         else:
             self._evaluator.evaluate(pose, out, strengths, placement)
-            self._transfer.detach(out.reshape((1, len(out))), follow)
+            self._transfer.measure(out)
         self._synthesised = _Synthesised(pose, out, dict(strengths), _bytes_of(placement), follow)
 
     def evaluate(

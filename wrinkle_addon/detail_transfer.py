@@ -7,8 +7,8 @@
 ``coarse`` is where the coarse layer lies in this frame (a simulation, a cache, any mesh that moves), ``positions`` the
 synthesised garment, both in one space [m] on one device. The synthesised garment is averaged down onto the coarse mesh
 (eq 5), and the offset that is missing to the coarse layer is spread back over it (eq 6), smoothed over the garment so
-that the coarse mesh's edges do not show (W83). All that is linear in the garment. So it falls into two halves: to take
-the garment's own means away, before anything is known of the coarse layer, and to add the means that belong there.
+that the coarse mesh's edges do not show (W83). The garment's own means are found before anything is known of the coarse
+layer.
 
 Four things differ from the paper's page. (a) Eq 5 compares a weighted mean of fine vertices with the coarse vertex v
 itself. Where the two meshes coincide that is zero only on a plane away from borders: a sleeve is blown up and a hem
@@ -23,9 +23,11 @@ Joints that are close to each other leave no room to blend their meshes in (W86)
 ``transfer_groups`` puts them apart; each group's mesh is synthesised alone, aligned alone, and then they meet:
 
     groups = transfer_groups(names, close_joints(regions, rest, faces))
-    evaluator.evaluate_apart(pose, groups, meshes)      # mesh 0 is the skinned garment, of no joint
-    transfer.detach(meshes, joined=positions)           # offsets over skinning; ``blend`` is the paper's weighted mean
+    evaluator.evaluate_apart(pose, groups, meshes)      # the skinned garment, and the groups' offsets over it
+    transfer.join(meshes, positions)                    # ``blend`` is the paper's weighted mean, of aligned meshes
     transfer.attach(coarse, positions)
+
+All that is linear, so what an offset's mean does to the coarse mesh can be taken away before the coarse layer is known.
 """
 
 from __future__ import annotations
@@ -44,9 +46,8 @@ from ..kernels.transfer import (
     Columns,
     attach_mesh,
     blend_meshes,
-    detach_meshes,
-    downsample_meshes,
-    join_detached_meshes,
+    downsample,
+    join_aligned_offsets,
     mat_lanes,
     place_means,
     smooth_columns,
@@ -89,7 +90,7 @@ def smoothing_iterations(match: Correspondence) -> int:
 
 
 class DetailTransfer:
-    """A garment tied to its coarse layer on one device. Aligning allocates nothing but for the number of meshes.
+    """A garment tied to its coarse layer on one device. Aligning allocates nothing but for the number of offsets.
 
     Args:
         match: Which coarse triangle each vertex of the garment rides on.
@@ -123,7 +124,8 @@ class DetailTransfer:
         self._fine_count, self._coarse_count = match.fine_count, match.coarse_count
         self._split = SplitLaunch(match.fine_count, self.device)
         self._split_coarse = SplitLaunch(match.fine_count, self.device, block_count=match.coarse_count)
-        self._detaching: tuple[int, list[RecordedLaunch]] = (0, [])
+        self._means = wp.zeros(match.coarse_count, dtype=wp.vec3, device=self.device)
+        self._joining: tuple[int, list[RecordedLaunch]] = (-1, [])
         self._attaching = self._record_attaching(mean_places(match, *members, as_published=self.settings.as_published))
 
     def _upload_rows(self, start: IntArray, entries: IntArray, weights: NDArray[np.floating]) -> list[wp.array]:
@@ -140,53 +142,55 @@ class DetailTransfer:
             positions: The garment [m], array of vec3, shape [fine_count].
             strength: How far it goes, from 0, not at all, to 1.
         """
-        self.detach(positions.reshape((1, self._fine_count)), strength)
+        self.measure(positions)
         self.attach(coarse, positions, strength)
 
-    def detach(self, meshes: wp.array, strength: float = 1.0, joined: wp.array | None = None) -> None:
-        """Take the means on the coarse mesh away from meshes of the garment, each by itself, in place.
+    def measure(self, positions: wp.array) -> None:
+        """Find the means of a synthesised garment on the coarse mesh, for :meth:`attach`."""
+        self._launches(0)[0]({"positions": positions})
+
+    def join(self, meshes: wp.array, positions: wp.array, strength: float = 1.0) -> None:
+        """Join offsets as joints' are, each of them aligned by itself, and :meth:`measure` the garment.
 
         Args:
-            meshes: Array of vec3 [m], shape [mesh_count, fine_count].
-            strength: What share of them; as :meth:`attach` will be told.
-            joined: Where to write the first mesh with the others' offsets from it joined as joints' are over skinning
-                [m], shape [fine_count].
+            meshes: A garment and offsets of it [m], array of vec3, shape [1 + offset_count, fine_count]; offsets are
+                aligned in place, as far as they can be without the coarse layer.
+            positions: Where to write the garment with its offsets [m], shape [fine_count].
+            strength: As :meth:`attach` will be told.
         """
-        sides = -(-meshes.shape[0] // LANES)
-        if self._detaching[0] != sides:
-            self._detaching = sides, self._record_detaching(meshes, sides)
-        downsample, detach, detach_and_join = self._detaching[1]
-        downsample({"meshes": meshes})
-        if joined is None:
-            detach({"meshes": meshes, "strength": strength})
-        else:
-            detach_and_join({"meshes": meshes, "strength": strength, "positions": joined})
+        changed = {"positions": meshes[0], "offsets": meshes[1:], "joined": positions, "strength": strength}
+        for stage in self._launches(meshes.shape[0] - 1):
+            stage(changed)
 
     def attach(self, coarse: wp.array, positions: wp.array, strength: float = 1.0) -> None:
-        """Add to a detached garment the means that it has on the coarse layer, in place; arguments as :meth:`align`."""
+        """Bring a garment that was measured or joined into line, in place; arguments as :meth:`align`."""
         for stage in self._attaching:
             stage({"coarse": coarse, "positions": positions, "strength": strength})
 
-    def _record_detaching(self, meshes: wp.array, sides: int) -> list[RecordedLaunch]:
-        means = wp.zeros((sides, self._coarse_count), dtype=mat_lanes, device=self.device)
-        inputs = [means, *self._rows, 1.0]
-        return [
-            self._split_coarse.record(downsample_meshes, [meshes, *self._members], [means]),
-            self._split.record(detach_meshes, inputs, [meshes]),
-            self._split.record(join_detached_meshes, inputs, [meshes, meshes[0]]),
-        ]
+    def _launches(self, offset_count: int) -> list[RecordedLaunch]:
+        """What measures a garment with so many offsets, and what joins those; the arrays are still to be told."""
+        sides = -(-offset_count // LANES)
+        if self._joining[0] != sides:
+            positions = wp.zeros(self._fine_count, dtype=wp.vec3, device=self.device)
+            offsets = positions.reshape((1, self._fine_count))
+            means = wp.zeros((sides, self._coarse_count), dtype=mat_lanes, device=self.device)
+            measure = [positions, offsets, *self._members], [self._means, means]
+            join = [means, *self._rows, 1.0, positions], [offsets, positions]
+            launches = [self._split_coarse.record(downsample, *measure)]
+            self._joining = sides, [*launches, self._split.record(join_aligned_offsets, *join)]
+        return self._joining[1]
 
     def _record_attaching(self, places: MeanPlaces) -> list[RecordedLaunch]:
-        coarse, means = (wp.zeros(self._coarse_count, dtype=wp.vec3, device=self.device) for _ in range(2))
+        coarse, missing = (wp.zeros(self._coarse_count, dtype=wp.vec3, device=self.device) for _ in range(2))
         positions = wp.zeros(self._fine_count, dtype=wp.vec3, device=self.device)
         rows = [*self._upload_rows(*places.corners), *self._upload_rows(*places.normals)]
         return [
-            SplitLaunch(self._coarse_count, self.device).record(place_means, [coarse, *rows], [means]),
-            self._split.record(attach_mesh, [means, *self._rows, 1.0], [positions]),
+            SplitLaunch(self._coarse_count, self.device).record(place_means, [coarse, *rows, self._means], [missing]),
+            self._split.record(attach_mesh, [missing, *self._rows, 1.0], [positions]),
         ]
 
     def blend(self, meshes: wp.array, shares: wp.array, positions: wp.array) -> None:
-        """Weighted mean of detached meshes, shape [fine_count]; shares [mesh_count, fine_count] add up to 1 (W86)."""
+        """Weighted mean of aligned meshes, shape [fine_count]; shares [mesh_count, fine_count] add up to 1 (W86)."""
         wp.launch(blend_meshes, self._fine_count, [meshes, shares], [positions], device=self.device)
 
 

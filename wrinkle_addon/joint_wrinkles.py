@@ -20,7 +20,17 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..kernels.blend import Cells, Corners, CornerWeights, Offsets, Positions, Sums, blend_offsets, blend_positions
+from ..kernels.blend import (
+    Cells,
+    Corners,
+    CornerWeights,
+    Offsets,
+    Positions,
+    Sums,
+    blend_offsets,
+    blend_positions,
+    take_first_away,
+)
 from ..kernels.interpolate import CORNERS
 from ..kernels.skinning import Skin
 from . import rotations
@@ -184,7 +194,6 @@ class JointEvaluator(Evaluator):
         self._matrices = HostArray((3 * bones,), wp.vec4, device)
         self._turns = HostArray((bones,), wp.quat, device)
         self._strength = HostArray((joints,), wp.float32, device)
-        self._placement = HostArray((3,), wp.vec4, device)
         self.clamped: dict[str, FloatArray] = {}
 
     @property
@@ -203,7 +212,7 @@ class JointEvaluator(Evaluator):
         strength: Mapping[str, float] | float = 1.0,
         placement: FloatArray | None = None,
     ) -> None:
-        """:meth:`evaluate` for groups of joints, each by itself, and first for none of them.
+        """The skinned garment, and by how much each of some groups of joints, by itself, moves it off.
 
         Args:
             groups: Names of the joints of each; every joint is in one.
@@ -214,14 +223,16 @@ class JointEvaluator(Evaluator):
         for number, members in enumerate(((), *groups)):
             own = {name: strengths.get(name, 1.0) if name in members else 0.0 for name in names}
             self.evaluate(pose, meshes[number], own, placement)
+        wp.launch(take_first_away, self._vertex_count, [meshes], device=self._device)
 
     def _read_pose(
         self, pose: Pose, strength: Mapping[str, float] | float, placement: FloatArray | None
     ) -> tuple[FloatArray, list[GridCell]]:
-        """Fill the arrays that every formulation needs; returns the deformations and each joint's cell."""
+        """Fill the arrays that every formulation needs; returns the bones' matrices, placed, and each joint's cell."""
         deformations = pose.deformations(self._rig)
         turns = rotations.from_matrices(deformations[:, :3, :3])
-        self._matrices.host[:] = deformations[:, :3, :].reshape(-1, 4)
+        placed = deformations if placement is None else placement @ deformations
+        self._matrices.host[:] = placed[:, :3, :].reshape(-1, 4)
         self._turns.host[:] = turns[:, [1, 2, 3, 0]]
         cells = []
         self.clamped.clear()
@@ -232,10 +243,9 @@ class JointEvaluator(Evaluator):
                 self.clamped[grid.joint.name] = cell.beyond
             name = grid.joint.name
             self._strength.host[number] = strength.get(name, 1.0) if isinstance(strength, Mapping) else strength
-        self._placement.host[:] = np.eye(4)[:3] if placement is None else placement[:3]
-        for array in (self._matrices, self._turns, self._strength, self._placement):
+        for array in (self._matrices, self._turns, self._strength):
             array.upload()
-        return deformations, cells
+        return placed, cells
 
 
 class OffsetEvaluator(JointEvaluator):
@@ -288,6 +298,7 @@ class OffsetEvaluator(JointEvaluator):
         samples.offsets = wp.array(np.concatenate(data or [np.zeros((0, 3))]), dtype=wp.vec3, device=device)
         self._samples = samples
         self._mesh_of_joint = HostArray((joints,), wp.int32, device)
+        self._placement = HostArray((1,), wp.mat33, device)
         self._split = SplitLaunch(self._vertex_count, device, block_size)
         self._make_room(1)
 
@@ -347,9 +358,9 @@ class OffsetEvaluator(JointEvaluator):
                     self._corner_start.host[number, corner] = self._starts[number][node]
                     self._corner_weight.host[number, corner] = weight
                     corner += 1
-        self._corner_start.upload()
-        self._corner_weight.upload()
-        self._mesh_of_joint.upload()
+        self._placement.host[:] = np.eye(3) if placement is None else placement[:3, :3]
+        for array in (self._corner_start, self._corner_weight, self._mesh_of_joint, self._placement):
+            array.upload()
         self._launch({"positions": meshes})
 
 
@@ -412,7 +423,7 @@ class PaperEvaluator(JointEvaluator):
         strength: Mapping[str, float] | float = 1.0,
         placement: FloatArray | None = None,
     ) -> None:
-        deformations, cells = self._read_pose(pose, strength, placement)
+        placed, cells = self._read_pose(pose, strength, placement)
         segments = len(self._segment_bones)
         for number, (grid, cell) in enumerate(zip(self._grids, cells, strict=True)):
             joint = grid.joint
@@ -428,7 +439,7 @@ class PaperEvaluator(JointEvaluator):
             clamped = grid.at(cell.lower) + cell.fraction * (grid.at(cell.upper) - grid.at(cell.lower))
             alone = pose_of_angles(self._rig, [joint], {joint.name: clamped}).deformations(self._rig)
             for segment, bone in enumerate(self._segment_bones):
-                rigid = deformations[bone] @ np.linalg.inv(alone[bone])
+                rigid = placed[bone] @ np.linalg.inv(alone[bone])
                 row = 3 * (number * segments + segment)
                 self._frames.host[row : row + 3] = rigid[:3, :]
         for array in (self._corner_start, self._fraction, self._twist_axis, self._frames):
@@ -442,7 +453,6 @@ class PaperEvaluator(JointEvaluator):
                 self._frames.device,
                 self._matrices.device,
                 self._strength.device,
-                self._placement.device,
             ],
             [out],
         )

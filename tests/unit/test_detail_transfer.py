@@ -154,20 +154,6 @@ def test_a_garment_may_have_more_vertices_than_the_square_root_of_what_32_bits_h
     assert np.add.reduceat(weights, start[:-1]) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_meshes_beside_each_other_are_aligned_as_each_alone(curved):
-    layer = wp.array(swing(curved.coarse.positions), dtype=wp.vec3, device="cpu")
-    meshes = np.stack([curved.rest + 0.01 * number * curved.normals for number in range(5)])
-    together = wp.array(meshes, dtype=wp.vec3, device="cpu")
-    transfer = DetailTransfer(curved.match, curved.rest, curved.faces)
-    transfer.detach(together)
-    for number in range(len(meshes)):
-        transfer.attach(layer, together[number])
-    for alone, found in zip(meshes, together.numpy(), strict=True):
-        one = wp.array(alone, dtype=wp.vec3, device="cpu")
-        transfer.align(layer, one)
-        assert np.array_equal(one.numpy(), found)
-
-
 def test_a_negative_number_of_iterations_is_refused(curved):
     with pytest.raises(ValueError, match="smoothed -1 times; choose 0 or more"):
         DetailTransfer(curved.match, curved.rest, curved.faces, TransferSettings(-1))
@@ -220,10 +206,10 @@ def test_meshes_of_close_joints_meet_without_a_step_if_they_are_aligned_first(cu
     after = curved.align(curved.coarse.positions, (shares[..., None] * meshes).sum(0))
     transfer = DetailTransfer(curved.match, curved.rest, curved.faces)
     coarse, separate = (wp.array(x, dtype=wp.vec3, device="cpu") for x in (curved.coarse.positions, meshes))
-    transfer.detach(separate)
+    for number in range(len(meshes)):
+        transfer.align(coarse, separate[number])
     first = wp.zeros(len(curved.rest), dtype=wp.vec3, device="cpu")
     transfer.blend(separate, wp.array(shares, dtype=wp.float32, device="cpu"), first)
-    transfer.attach(coarse, first)
     # Blended first, the coarse mesh is too coarse to take the step away; of 20 mm a fifth and more is left.
     assert np.ptp((after - curved.rest)[:, 2]) > 4e-3
     assert np.abs(first.numpy() - curved.rest).max() < 1e-6
@@ -250,9 +236,8 @@ def test_groups_of_joints_are_synthesised_aligned_and_joined(tmp_path):
     moved = wp.array(layer, dtype=wp.vec3, device="cpu")
     meshes = wp.zeros((len(strengths), len(rest)), dtype=wp.vec3, device="cpu")
     found = wp.zeros(len(rest), dtype=wp.vec3, device="cpu")
-    for k, strength in enumerate(strengths):
-        evaluator.evaluate(pose, meshes[k], strength)
-    transfer.detach(meshes, joined=found)
+    evaluator.evaluate_apart(pose, groups, meshes)
+    transfer.join(meshes, found)
     transfer.attach(moved, found)
 
     alone = [wp.array(evaluator.positions(pose, strength), dtype=wp.vec3, device="cpu") for strength in strengths]

@@ -153,9 +153,11 @@ def test_groups_of_joints_synthesised_apart_are_each_what_they_are_alone(
     groups = (names[::2], names[1::2])
     meshes = wp.zeros((3, evaluator.vertex_count), dtype=wp.vec3, device=device)
     evaluator.evaluate_apart(pose, groups, meshes, {names[0]: 0.5})
-    for mesh, group in zip(meshes.numpy(), ((), *groups), strict=True):
+    skinned, *offsets = meshes.numpy()
+    np.testing.assert_array_equal(skinned, evaluator.positions(pose, 0.0))
+    for offset, group in zip(offsets, groups, strict=True):
         alone = {name: {names[0]: 0.5}.get(name, 1.0) if name in group else 0.0 for name in names}
-        np.testing.assert_array_equal(mesh, evaluator.positions(pose, alone))
+        assert np.abs(skinned + offset - evaluator.positions(pose, alone)).max() < SINGLE
 
 
 @pytest.mark.parametrize("name", ["forearm pronated by 40 degrees", "clavicles raised by 15 degrees",
