@@ -4,6 +4,8 @@ All kernels gather, in a fixed
 order; the same input gives the same bits.
 """
 
+from typing import Any
+
 import warp as wp
 
 from .blend import join_offsets
@@ -13,6 +15,10 @@ wp.set_module_options({"enable_backward": False})
 # Offsets that lie side by side, and are read at once.
 LANES = 2
 mat_lanes = wp.types.matrix((LANES, 3), wp.float32)
+
+# Four entries of a row, weights in whole shares of FULL_WEIGHT: reading them takes longer than all else.
+FULL_WEIGHT = wp.constant(65535)
+vec4us = wp.types.vector(4, wp.uint16)
 
 COLUMNS = wp.constant(32)
 Columns = wp.types.vector(length=int(COLUMNS), dtype=wp.float32)
@@ -55,8 +61,8 @@ def join_aligned_offsets(
     first: wp.int32,
     offset_means: wp.array2d[mat_lanes],
     start: wp.array[wp.int32],
-    columns: wp.array[wp.vec4i],
-    weights: wp.array[wp.vec4],
+    columns: wp.array[Any],
+    weights: wp.array[vec4us],
     strength: wp.float32,
     positions: wp.array[wp.vec3],
     # in and out
@@ -69,18 +75,23 @@ def join_aligned_offsets(
     ``weights`` are a_uv after Laplacian smoothing over the fine mesh, four at a time (eq 6).
     """
     u = first + wp.tid()
+    share = strength / wp.float32(FULL_WEIGHT)
     total = wp.vec3()
     for side in range(offset_means.shape[0]):
         taken = mat_lanes()
         for k in range(start[u], start[u + 1]):
             c = columns[k]
             w = weights[k]
-            taken += (w[0] * offset_means[side, c[0]] + w[1] * offset_means[side, c[1]]) + (
-                w[2] * offset_means[side, c[2]] + w[3] * offset_means[side, c[3]]
+            taken += (
+                wp.float32(w[0]) * offset_means[side, wp.int32(c[0])]
+                + wp.float32(w[1]) * offset_means[side, wp.int32(c[1])]
+            ) + (
+                wp.float32(w[2]) * offset_means[side, wp.int32(c[2])]
+                + wp.float32(w[3]) * offset_means[side, wp.int32(c[3])]
             )
         for lane in range(LANES):
             if LANES * side + lane < offsets.shape[0]:
-                offset = offsets[LANES * side + lane, u] - strength * taken[lane]
+                offset = offsets[LANES * side + lane, u] - share * taken[lane]
                 offsets[LANES * side + lane, u] = offset
                 total += offset
     largest = wp.float32(0.0)
@@ -124,8 +135,8 @@ def attach_mesh(
     first: wp.int32,
     missing: wp.array[wp.vec3],
     start: wp.array[wp.int32],
-    columns: wp.array[wp.vec4i],
-    weights: wp.array[wp.vec4],
+    columns: wp.array[Any],
+    weights: wp.array[vec4us],
     strength: wp.float32,
     # in and out
     positions: wp.array[wp.vec3],
@@ -139,8 +150,16 @@ def attach_mesh(
     for k in range(start[u], start[u + 1]):
         c = columns[k]
         w = weights[k]
-        moved += (w[0] * missing[c[0]] + w[1] * missing[c[1]]) + (w[2] * missing[c[2]] + w[3] * missing[c[3]])
-    positions[u] += strength * moved
+        moved += (wp.float32(w[0]) * missing[wp.int32(c[0])] + wp.float32(w[1]) * missing[wp.int32(c[1])]) + (
+            wp.float32(w[2]) * missing[wp.int32(c[2])] + wp.float32(w[3]) * missing[wp.int32(c[3])]
+        )
+    positions[u] += (strength / wp.float32(FULL_WEIGHT)) * moved
+
+
+for column in (vec4us, wp.vec4i):
+    # A coarse layer of more vertices than 16 bits hold takes twice the room.
+    for kernel in (join_aligned_offsets, attach_mesh):
+        wp.overload(kernel, {"columns": wp.array[column]})
 
 
 @wp.kernel

@@ -42,6 +42,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..kernels.transfer import (
     COLUMNS,
+    FULL_WEIGHT,
     LANES,
     Columns,
     attach_mesh,
@@ -51,6 +52,7 @@ from ..kernels.transfer import (
     mat_lanes,
     place_means,
     smooth_columns,
+    vec4us,
 )
 from .cloth_model import FloatArray, IntArray
 from .correspondence import Correspondence
@@ -120,7 +122,11 @@ class DetailTransfer:
         if follow is not None:
             weights = weights * np.asarray(follow, np.float32)[rows_of(start)]
         members = match.members(as_published=self.settings.as_published)
-        self._members, self._rows = self._upload_rows(*members), self._upload_rows(*by_fours(start, columns, weights))
+        fours, columns, shares = by_fours(start, columns, in_whole_shares(start, weights))
+        few = match.coarse_count <= 1 << 16
+        arrays = (fours, wp.int32), (columns.astype(np.uint16 if few else np.int32), vec4us if few else wp.vec4i)
+        self._rows = [wp.array(values, dtype=kind, device=self.device) for values, kind in (*arrays, (shares, vec4us))]
+        self._members = self._upload_rows(*members)
         self._fine_count, self._coarse_count = match.fine_count, match.coarse_count
         self._split = SplitLaunch(match.fine_count, self.device)
         self._split_coarse = SplitLaunch(match.fine_count, self.device, block_count=match.coarse_count)
@@ -129,8 +135,7 @@ class DetailTransfer:
         self._attaching = self._record_attaching(mean_places(match, *members, as_published=self.settings.as_published))
 
     def _upload_rows(self, start: IntArray, entries: IntArray, weights: NDArray[np.floating]) -> list[wp.array]:
-        width = entries.shape[1] if entries.ndim > 1 else 1
-        kinds = wp.int32, {1: wp.int32, 3: wp.vec3i, 4: wp.vec4i}[width], wp.vec4 if weights.ndim > 1 else wp.float32
+        kinds = wp.int32, wp.vec3i if entries.ndim > 1 else wp.int32, wp.float32
         arrays = zip((start, entries, weights), kinds, strict=True)
         return [wp.array(values, dtype=kind, device=self.device) for values, kind in arrays]
 
@@ -270,6 +275,21 @@ def smoothed_weights(
     rows, columns, weights = rows[order], columns[order], weights[order].astype(np.float64)
     weights /= np.bincount(rows, weights, match.fine_count)[rows]
     return row_starts(rows, match.fine_count), columns.astype(np.int32), weights.astype(np.float32)
+
+
+def in_whole_shares(start: IntArray, weights: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Weights, 0 to 1, as whole numbers of :data:`FULL_WEIGHT` shares; every row's sum is kept to half a share.
+
+    What a row lacks after rounding down goes to the entries that lost most (Hamilton's largest remainders).
+    """
+    exact = weights.astype(np.float64) * int(FULL_WEIGHT)
+    counts = np.floor(exact)
+    rows, row_count = rows_of(start), len(start) - 1
+    lost = exact - counts
+    lacking = np.round(np.bincount(rows, lost, row_count)).astype(np.int64)
+    order = np.lexsort((-lost, rows))
+    counts[order] += np.arange(len(order)) - start[:-1][rows] < lacking[rows]
+    return counts.astype(np.uint16)
 
 
 def cotangent_weights(positions: FloatArray, faces: IntArray) -> tuple[IntArray, IntArray, NDArray[np.float32]]:

@@ -1,11 +1,13 @@
 """Detail transfer's kernels against float64 references."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import warp as wp
 from cloth_shapes import tube
 from wrinkle_synthesis.kernels.blend import join_all_offsets
-from wrinkle_synthesis.kernels.transfer import LANES, blend_meshes
+from wrinkle_synthesis.kernels.transfer import FULL_WEIGHT, LANES, blend_meshes
 from wrinkle_synthesis.wrinkle_addon.coarse_mesh import make_coarse_mesh
 from wrinkle_synthesis.wrinkle_addon.correspondence import find_correspondence
 from wrinkle_synthesis.wrinkle_addon.detail_transfer import (
@@ -13,6 +15,7 @@ from wrinkle_synthesis.wrinkle_addon.detail_transfer import (
     DetailTransfer,
     TransferSettings,
     cotangent_weights,
+    in_whole_shares,
     smoothed_weights,
 )
 
@@ -106,6 +109,33 @@ def test_stored_weights_are_the_smoothed_ones_and_add_up_to_1(sleeve):
     assert np.abs(stored - exact).max() < 5e-4
     np.testing.assert_allclose(stored.sum(1), 1.0, atol=1e-6)
     assert (np.diff(columns)[np.diff(np.repeat(np.arange(match.fine_count), np.diff(start))) == 0] > 0).all()
+
+
+def test_a_coarse_layer_may_have_more_vertices_than_16_bits_hold(device, sleeve, moved):
+    positions, faces, coarse, match = sleeve
+    # Vertices that nothing rides on come first.
+    more = 1 << 16
+    borders = np.concatenate([np.zeros(more, bool), match.coarse_on_border])
+    many = replace(match, corners=match.corners + more, coarse_on_border=borders)
+    layer = np.concatenate([np.zeros((more, 3)), moved[1]])
+    settings = TransferSettings(smoothing=1)
+    found = align(device, (positions, faces, coarse, many), (moved[0][:1], layer), settings)
+    np.testing.assert_array_equal(found, align(device, sleeve, (moved[0][:1], moved[1]), settings))
+
+
+def test_weights_in_whole_shares_keep_their_sums():
+    rng = np.random.default_rng(3)
+    start = np.concatenate([[0], np.cumsum(rng.integers(0, 30, 200))]).astype(np.int32)
+    rows = np.repeat(np.arange(200), np.diff(start))
+    weights = rng.random(start[-1])
+    sums = np.bincount(rows, weights, 200)
+    # Some follow the coarse layer wholly, some by halves, and some not at all.
+    weights = (weights / sums[rows] * rng.choice([0.0, 0.5, 1.0], 200)[rows]).astype(np.float32)
+    shares = in_whole_shares(start, weights).astype(np.float64)
+    full = int(FULL_WEIGHT)
+    assert np.abs(shares - full * weights).max() < 1.0
+    assert np.abs(np.bincount(rows, shares, 200) - full * np.bincount(rows, weights, 200)).max() < 0.51
+    np.testing.assert_array_equal(in_whole_shares(np.array([0, 1], np.int32), np.ones(1, np.float32)), [full])
 
 
 def test_aligning_twice_gives_the_same_bits(device, sleeve, moved):
