@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from .posed_surface import LIMB, PosedSurface, height_over_corner, interpolated, walk_downhill
+from .posed_surface import LIMB, PosedSurface, height_over_corner, point_at, walk_downhill
 
 wp.set_module_options({"enable_backward": False})
 
@@ -16,20 +16,37 @@ mat_frame = wp.types.matrix((3, 4), wp.float32)
 
 
 @wp.struct
-class LimbGrids:
-    """A grid of cells around each limb at rest; each cell knows the limb's triangle closest to its centre.
+class LimbGrid:
+    """A grid of cells around a limb at rest.
 
     Attributes:
-        frames: What takes points of the pose to cells of each limb's grid, shape [limb_count].
-        extents: Cells along the axes, and where each grid's cells begin, shape [limb_count].
-        cells: Triangle of every cell, -1 far from the limb.
-        gaps: How many cells' widths it is from every cell to the closest one with a triangle.
+        frame: What takes points of the pose to cells.
+        extent: Cells along the axes, and where they begin among those of all limbs.
     """
 
-    frames: wp.array[mat_frame]
-    extents: wp.array[wp.vec4i]
-    cells: wp.array[wp.int32]
-    gaps: wp.array[wp.float32]
+    frame: mat_frame
+    extent: wp.vec4i
+
+
+@wp.struct
+class GridCell:
+    """A cell of a limb's grid.
+
+    Attributes:
+        triangle: The limb's triangle closest to its centre, -1 far from the limb.
+        gap: How many cells' widths it is to the closest one with a triangle.
+    """
+
+    triangle: wp.int32
+    gap: wp.float32
+
+
+@wp.struct
+class LimbGrids:
+    """The grids around a body's limbs and their cells."""
+
+    limbs: wp.array[LimbGrid]
+    cells: wp.array[GridCell]
 
 
 @wp.func
@@ -41,24 +58,24 @@ def cell_number(extent: wp.vec4i, i: wp.int32, j: wp.int32, k: wp.int32) -> wp.i
 def cell_triangle(grids: LimbGrids, limb: wp.int32, p: wp.vec3) -> wp.int32:
     """The limb's triangle about a point of the pose; -1 where it is far."""
     found = wp.int32(-1)
-    at = grids.frames[limb] * wp.vec4(p[0], p[1], p[2], 1.0)
+    at = grids.limbs[limb].frame * wp.vec4(p[0], p[1], p[2], 1.0)
     if at[0] >= 0.0 and at[1] >= 0.0 and at[2] >= 0.0:
         i = wp.int32(at[0])
         j = wp.int32(at[1])
         k = wp.int32(at[2])
-        extent = grids.extents[limb]
+        extent = grids.limbs[limb].extent
         if i < extent[0] and j < extent[1] and k < extent[2]:
-            found = grids.cells[cell_number(extent, i, j, k)]
+            found = grids.cells[cell_number(extent, i, j, k)].triangle
     return found
 
 
 @wp.func
 def reaches_limb(grids: LimbGrids, limb: wp.int32, centre: wp.vec3, radius: wp.float32) -> wp.bool:
     """Whether a point of the pose so near to ``centre`` may lie in a cell with a triangle."""
-    extent = grids.extents[limb]
+    extent = grids.limbs[limb].extent
     if extent[0] == 0:
         return False
-    frame = grids.frames[limb]
+    frame = grids.limbs[limb].frame
     reach = radius * wp.length(wp.vec3(frame[0, 0], frame[0, 1], frame[0, 2])) + CELL_RADIUS
     at = frame * wp.vec4(centre[0], centre[1], centre[2], 1.0)
     within = wp.vec3()
@@ -69,7 +86,7 @@ def reaches_limb(grids: LimbGrids, limb: wp.int32, centre: wp.vec3, radius: wp.f
         return False
     cell = cell_number(extent, wp.int32(within[0]), wp.int32(within[1]), wp.int32(within[2]))
     # To a place in a box that a point lies beside, it is as far as the two legs of a right angle at least.
-    gap = wp.max(grids.gaps[cell] - CELL_RADIUS, 0.0)
+    gap = wp.max(grids.cells[cell].gap - CELL_RADIUS, 0.0)
     return aside + gap * gap <= reach * reach
 
 
@@ -80,7 +97,7 @@ def limbs_around(grids: LimbGrids, low: wp.vec3, high: wp.vec3) -> wp.int32:
     if low[0] <= high[0]:
         centre = 0.5 * (low + high)
         radius = 0.5 * wp.length(high - low)
-        for limb in range(grids.extents.shape[0]):
+        for limb in range(grids.limbs.shape[0]):
             if reaches_limb(grids, limb, centre, radius):
                 found = found | (1 << limb)
     return found
@@ -100,7 +117,7 @@ def limb_triangle(surface: PosedSurface, grids: LimbGrids, limb: wp.int32, p: wp
 def distance_downhill(surface: PosedSurface, p: wp.vec3, start: wp.int32) -> wp.float32:
     """How far p is from where a walk from this triangle ends."""
     face, w = walk_downhill(surface, p, start, -1)
-    return wp.length(p - interpolated(surface.points, surface.triangles[face], w))
+    return wp.length(p - point_at(surface.vertices, surface.triangles[face], w))
 
 
 @wp.func
@@ -111,12 +128,12 @@ def nearer_triangle(surface: PosedSurface, grids: LimbGrids, p: wp.vec3, start: 
     outside of, if the walk from that ends nearer.
     """
     found = start
-    if grids.extents.shape[0] > 0:
+    if grids.limbs.shape[0] > 0:
         under = surface.triangles[start]
         other = cell_triangle(grids, under[LIMB], p)
         if other >= 0 and other != start:
-            near = surface.points[under[0]] - p
-            other_near = surface.points[surface.triangles[other][0]] - p
+            near = surface.vertices[under[0]].position - p
+            other_near = surface.vertices[surface.triangles[other][0]].position - p
             if wp.length_sq(other_near) < wp.length_sq(near):
                 found = other
                 other = start

@@ -109,7 +109,7 @@ def move_out_of_limbs(
     most_in = wp.int32(-1)
     dealt = wp.vec3(NOWHERE)
     dealt_normal = wp.vec3()
-    for limb in range(grids.extents.shape[0]):
+    for limb in range(grids.limbs.shape[0]):
         if (limbs >> limb) & 1 != 0:
             begin = limb_triangle(surface, grids, limb, pushed + move, clearance.metre)
             if begin >= 0:

@@ -132,7 +132,7 @@ def asked_height(
 ) -> wp.float32:
     """Height that is asked for at a place on the skin [m]: less than ``needed`` where other limbs leave no room."""
     asked = needed
-    for limb in range(grids.extents.shape[0]):
+    for limb in range(grids.limbs.shape[0]):
         if (near >> limb) & 1 != 0:
             wall, wall_height, sure, _apart = facing_wall(surface, grids, limb, -1, skin, normal, clearance, tolerance)
             cosine = wp.dot(wall, normal)

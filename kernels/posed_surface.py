@@ -26,17 +26,47 @@ LIMB = wp.constant(6)
 
 
 @wp.struct
+class SkinVertex:
+    """A vertex of a posed surface and its unit normal; they are read together."""
+
+    position: wp.vec3
+    normal: wp.vec3
+
+
+@wp.struct
 class PosedSurface:
     """The surface that a garment is kept outside of, in one pose.
 
+    Few arrays: a function that is not inlined is given a copy of them with every call.
+
     Attributes:
-        points, normals: Vertices and unit vertex normals, shape [vertex_count].
+        vertices: Where they are, shape [vertex_count].
         triangles: See :data:`vec_triangle`, shape [triangle_count].
     """
 
-    points: wp.array[wp.vec3]
-    normals: wp.array[wp.vec3]
+    vertices: wp.array[SkinVertex]
     triangles: wp.array[vec_triangle]
+
+
+@wp.kernel
+def pose_vertices(
+    first: wp.int32,
+    points: wp.array[wp.vec3],
+    face_normals: wp.array[wp.vec3],
+    around_start: wp.array[wp.int32],
+    around: wp.array[wp.int32],
+    # outputs
+    vertices: wp.array[SkinVertex],
+):
+    """Vertices from ``first`` on with area-weighted unit normals; ``around`` lists the faces around each one."""
+    v = first + wp.tid()
+    total = wp.vec3()
+    for k in range(around_start[v], around_start[v + 1]):
+        total += face_normals[around[k]]
+    vertex = SkinVertex()
+    vertex.position = points[v]
+    vertex.normal = wp.normalize(total)
+    vertices[v] = vertex
 
 
 @wp.func
@@ -47,17 +77,29 @@ def rise_between(x: wp.float32, low: wp.float32, high: wp.float32) -> wp.float32
 
 
 @wp.func
-def interpolated(values: wp.array[wp.vec3], triangle: vec_triangle, w: wp.vec3) -> wp.vec3:
-    """Points, or normals not of unit length, at barycentric coordinates w of a triangle."""
-    return w[0] * values[triangle[0]] + w[1] * values[triangle[1]] + w[2] * values[triangle[2]]
+def point_at(vertices: wp.array[SkinVertex], triangle: vec_triangle, w: wp.vec3) -> wp.vec3:
+    """Point at barycentric coordinates w of a triangle."""
+    return (
+        w[0] * vertices[triangle[0]].position
+        + w[1] * vertices[triangle[1]].position
+        + w[2] * vertices[triangle[2]].position
+    )
 
 
 @wp.func
-def closest_on_triangle(points: wp.array[wp.vec3], triangle: vec_triangle, p: wp.vec3):
+def normal_at(vertices: wp.array[SkinVertex], triangle: vec_triangle, w: wp.vec3) -> wp.vec3:
+    """Normal, not of unit length, at barycentric coordinates w of a triangle."""
+    return (
+        w[0] * vertices[triangle[0]].normal + w[1] * vertices[triangle[1]].normal + w[2] * vertices[triangle[2]].normal
+    )
+
+
+@wp.func
+def closest_on_triangle(vertices: wp.array[SkinVertex], triangle: vec_triangle, p: wp.vec3):
     """Barycentric coordinates of a triangle's point that is closest to p, and its squared distance."""
-    a = points[triangle[0]]
-    b = points[triangle[1]]
-    c = points[triangle[2]]
+    a = vertices[triangle[0]].position
+    b = vertices[triangle[1]].position
+    c = vertices[triangle[2]].position
     w = closest_point_on_triangle(p, a, b, c)
     away = p - (w[0] * a + w[1] * b + w[2] * c)
     return w, wp.dot(away, away)
@@ -67,7 +109,7 @@ def closest_on_triangle(points: wp.array[wp.vec3], triangle: vec_triangle, p: wp
 def height_over_corner(surface: PosedSurface, face: wp.int32, p: wp.vec3) -> wp.float32:
     """Height of p over the plane that touches the surface at a triangle's first corner."""
     corner = surface.triangles[face][0]
-    return wp.dot(p - surface.points[corner], surface.normals[corner])
+    return wp.dot(p - surface.vertices[corner].position, surface.vertices[corner].normal)
 
 
 @wp.func
@@ -78,7 +120,7 @@ def walk_downhill(surface: PosedSurface, p: wp.vec3, start: wp.int32, own: wp.in
     """
     face = start
     triangle = surface.triangles[face]
-    w, squared = closest_on_triangle(surface.points, triangle, p)
+    w, squared = closest_on_triangle(surface.vertices, triangle, p)
     for _ in range(DOWNHILL_STEPS):
         best = wp.int32(-1)
         best_w = w
@@ -88,7 +130,7 @@ def walk_downhill(surface: PosedSurface, p: wp.vec3, start: wp.int32, own: wp.in
             other = triangle[3 + corner]
             if w[corner] <= 0.0 and other >= 0:
                 across = surface.triangles[other]
-                v, d = closest_on_triangle(surface.points, across, p)
+                v, d = closest_on_triangle(surface.vertices, across, p)
                 if d < squared:
                     best = other
                     best_w = v
@@ -115,15 +157,15 @@ def walk_smooth(surface: PosedSurface, p: wp.vec3, start: wp.int32, place: wp.ve
     triangle = surface.triangles[face]
     w = place
     found = wp.int32(-1)
-    normal = interpolated(surface.normals, triangle, w)
-    height = wp.dot(p - interpolated(surface.points, triangle, w), normal) / wp.dot(normal, normal)
+    normal = normal_at(surface.vertices, triangle, w)
+    height = wp.dot(p - point_at(surface.vertices, triangle, w), normal) / wp.dot(normal, normal)
     for _ in range(SMOOTH_STEPS):
-        na = surface.normals[triangle[0]]
-        nb = surface.normals[triangle[1]]
-        nc = surface.normals[triangle[2]]
-        a = surface.points[triangle[0]] - p
-        b = surface.points[triangle[1]] - p
-        c = surface.points[triangle[2]] - p
+        na = surface.vertices[triangle[0]].normal
+        nb = surface.vertices[triangle[1]].normal
+        nc = surface.vertices[triangle[2]].normal
+        a = surface.vertices[triangle[0]].position - p
+        b = surface.vertices[triangle[1]].position - p
+        c = surface.vertices[triangle[2]].position - p
         w, normal, rise = smooth_step(a, b, c, na, nb, nc, height)
         height += rise
         if w[0] >= -1.0e-5 and w[1] >= -1.0e-5 and w[2] >= -1.0e-5:
@@ -148,12 +190,12 @@ def foot_near(surface: PosedSurface, p: wp.vec3, face: wp.int32, w: wp.vec3, tol
     """
     trust = wp.float32(1.0)
     foot, height, normal = walk_smooth(surface, p, face, w, tolerance)
-    away = p - interpolated(surface.points, surface.triangles[face], w)
+    away = p - point_at(surface.vertices, surface.triangles[face], w)
     farthest = STEEPEST * wp.length(away)
     height = wp.clamp(height, -farthest, farthest)
     if foot < 0:
         foot = face
-        normal = wp.normalize(interpolated(surface.normals, surface.triangles[face], w))
+        normal = wp.normalize(normal_at(surface.vertices, surface.triangles[face], w))
         height = wp.dot(away, normal)
         trust = rise_between(wp.abs(height), ASKEW[0] * wp.length(away), ASKEW[1] * wp.length(away))
     if not wp.isfinite(height) or not wp.isfinite(normal[0] + normal[1] + normal[2]):
@@ -182,8 +224,8 @@ def find_foot_within(
     """
     foot, w = walk_downhill(surface, p, start, own)
     triangle = surface.triangles[foot]
-    away = p - interpolated(surface.points, triangle, w)
-    outward = interpolated(surface.normals, triangle, w)
+    away = p - point_at(surface.vertices, triangle, w)
+    outward = normal_at(surface.vertices, triangle, w)
     distance = wp.length(away)
     normal = outward / wp.length(outward)
     height = wp.dot(away, normal)

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..kernels.limb_grids import LimbGrids, mat_frame
+from ..kernels.limb_grids import GridCell, LimbGrid, LimbGrids
 from .cloth_model import FloatArray, IntArray
 from .garment import bind_to_surface
 from .topology import triangles_beside
@@ -29,7 +29,8 @@ class GridShapes:
 
     Attributes:
         origin: Lowest corner of each grid [m], shape [limb_count, 3].
-        extents, cells, gaps: See :class:`..kernels.limb_grids.LimbGrids`.
+        extents: Cells along the axes of each grid, and where its cells begin, shape [limb_count, 4].
+        cells, gaps: Triangle and gap of every cell; see :class:`..kernels.limb_grids.GridCell`.
     """
 
     origin: NDArray[np.float32]
@@ -100,17 +101,20 @@ class PosedLimbs:
         self._size = (self._rest**2).sum((1, 2))
         self._origin = grids.origin
         self.struct = LimbGrids()
-        self.struct.frames = wp.zeros(len(grids.extents), dtype=mat_frame, device=device)
-        self.struct.extents = wp.array(grids.extents, dtype=wp.vec4i, device=device)
-        self.struct.cells = wp.array(grids.cells, dtype=wp.int32, device=device)
-        self.struct.gaps = wp.array(grids.gaps, dtype=wp.float32, device=device)
+        self._limbs = np.zeros(len(grids.extents), LimbGrid.numpy_dtype())
+        self._limbs["extent"] = grids.extents
+        self.struct.limbs = wp.array(self._limbs, dtype=LimbGrid, device=device)
+        cells = np.zeros(len(grids.cells), GridCell.numpy_dtype())
+        cells["triangle"], cells["gap"] = grids.cells, grids.gaps
+        self.struct.cells = wp.array(cells, dtype=GridCell, device=device)
 
     def move(self, body: NDArray[np.floating] | wp.array) -> None:
         """Put the limbs where they lie on a body, shape [body_vertex_count, 3]."""
         if not len(self._members):
             return
         points: NDArray[np.floating] = body if isinstance(body, np.ndarray) else body.numpy()
-        self.struct.frames.assign(self._fit(points[self._members].astype(np.float64)))
+        self._limbs["frame"] = self._fit(points[self._members].astype(np.float64))
+        self.struct.limbs.assign(self._limbs)
 
     def _fit(self, posed: FloatArray) -> NDArray[np.float32]:
         """Matrices that take points of the pose to cells of each limb's grid, shape [limb_count, 3, 4], where limbs lie

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from ..kernels.cloth import body_surface
 from ..kernels.limb_pushes import push_between_limbs, push_out
 from ..kernels.penetration import Clearance, find_lacks, heights_over_surface, mend_feet
-from ..kernels.posed_surface import PosedSurface, vec_triangle
+from ..kernels.posed_surface import PosedSurface, SkinVertex, pose_vertices, vec_triangle
 from ..kernels.spreading import RING, Neighbours, believable_lacks, largest_around, mean_around, vec_ring
 from .cloth_contact import Limbs
 from .cloth_model import FloatArray, IntArray
@@ -152,31 +152,26 @@ class PosedBody:
 
     def __init__(self, faces: IntArray, vertex_count: int, limb: IntArray, device: wp.Device):
         self.vertex_count = vertex_count
-        start, around = faces_around(faces, vertex_count)
-        self._points = wp.zeros((1, vertex_count), dtype=wp.vec3, device=device)
-        self._normals = wp.zeros((1, vertex_count), dtype=wp.vec3, device=device)
+        start, around = (wp.array(values, device=device) for values in faces_around(faces, vertex_count))
+        self._points = wp.zeros(vertex_count, dtype=wp.vec3, device=device)
         self.struct = PosedSurface()
-        self.struct.points = self._points.reshape((vertex_count,))
-        self.struct.normals = self._normals.reshape((vertex_count,))
+        self.struct.vertices = wp.zeros(vertex_count, dtype=SkinVertex, device=device)
         triangles = np.stack([*faces.T, *triangles_beside(faces).T, limb, np.zeros(len(faces))], 1)
         self.struct.triangles = wp.array(triangles.astype(np.int32), dtype=vec_triangle, device=device)
 
-        start, around, faces = (wp.array(values, dtype=wp.int32, device=device) for values in (start, around, faces))
+        corners = wp.array(faces, dtype=wp.int32, device=device)
         of_faces = wp.zeros((1, len(faces)), dtype=wp.vec3, device=device)
+        points = self._points.reshape((1, vertex_count))
 
         def face_part(first: int, count: int) -> wp.Launch:
             part = slice(first, first + count)
-            inputs, outputs = [self._points, faces[part]], [of_faces[:, part]]
+            inputs, outputs = [points, corners[part]], [of_faces[:, part]]
             return wp.launch(body_surface.face_normals, (1, count), inputs, outputs, device=device, record_cmd=True)
 
-        def vertex_part(first: int, count: int) -> wp.Launch:
-            part = slice(first, first + count)
-            inputs, outputs = [of_faces, start[first:], around], [self._normals[:, part]]
-            return wp.launch(body_surface.vertex_normals, (1, count), inputs, outputs, device=device, record_cmd=True)
-
-        self._find_normals = [
+        posed = [self._points, of_faces.flatten(), start, around], [self.struct.vertices]
+        self._pose = [
             SplitLaunch(len(faces), device).record_parts(face_part),
-            SplitLaunch(vertex_count, device).record_parts(vertex_part),
+            SplitLaunch(vertex_count, device).record(pose_vertices, *posed),
         ]
 
     def move(self, positions: FloatArray | NDArray[np.float32] | wp.array) -> None:
@@ -188,11 +183,11 @@ class PosedBody:
         if len(positions) != self.vertex_count:
             raise ValueError(f"The body has {len(positions)} vertices, but {self.vertex_count} at rest.")
         if isinstance(positions, np.ndarray):
-            self.struct.points.assign(np.ascontiguousarray(positions, np.float32))
+            self._points.assign(np.ascontiguousarray(positions, np.float32))
         else:
-            wp.copy(self.struct.points, positions)
-        for find in self._find_normals:
-            find()
+            wp.copy(self._points, positions)
+        for launch in self._pose:
+            launch()
 
 
 class PushOut:
