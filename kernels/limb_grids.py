@@ -49,6 +49,50 @@ class LimbGrids:
     cells: wp.array[GridCell]
 
 
+@wp.kernel
+def fit_limbs(
+    points: wp.array[wp.vec3],
+    members: wp.array2d[wp.int32],
+    rest: wp.array2d[wp.vec3],
+    centre: wp.array[wp.vec3],
+    cell: wp.float32,
+    # outputs
+    limbs: wp.array[LimbGrid],
+):
+    """What takes points of a pose to cells of each limb's grid, by some of its vertices (Kabsch 1976).
+
+    Args:
+        points: The body in that pose, in any unit of length.
+        members: Vertices that tell how a limb lies, shape [limb_count, member_count].
+        rest: Where they lie at rest about their mean [m].
+        centre: That mean from the grid's lowest corner [m].
+        cell: Size of a cell [m].
+    """
+    limb = wp.tid()
+    count = members.shape[1]
+    mean = wp.vec3()
+    for k in range(count):
+        mean += points[members[limb, k]]
+    mean = mean / wp.float32(count)
+    spread = wp.mat33()
+    size = wp.float32(0.0)
+    posed_size = wp.float32(0.0)
+    for k in range(count):
+        posed = points[members[limb, k]] - mean
+        spread += wp.outer(rest[limb, k], posed)
+        size += wp.length_sq(rest[limb, k])
+        posed_size += wp.length_sq(posed)
+    # Both are rotations, strengths have signs: no limb is turned inside out.
+    u, _strength, v = wp.svd3(spread)
+    turn = (wp.sqrt(size / wp.max(posed_size, 1.0e-30)) / cell) * (u * wp.transpose(v))
+    moved = centre[limb] / cell - turn * mean
+    limbs[limb].frame = mat_frame(
+        turn[0, 0], turn[0, 1], turn[0, 2], moved[0],
+        turn[1, 0], turn[1, 1], turn[1, 2], moved[1],
+        turn[2, 0], turn[2, 1], turn[2, 2], moved[2],
+    )  # fmt: skip
+
+
 @wp.func
 def cell_number(extent: wp.vec4i, i: wp.int32, j: wp.int32, k: wp.int32) -> wp.int32:
     return extent[3] + (i * extent[1] + j) * extent[2] + k

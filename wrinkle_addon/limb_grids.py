@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..kernels.limb_grids import GridCell, LimbGrid, LimbGrids
+from ..kernels.limb_grids import GridCell, LimbGrid, LimbGrids, fit_limbs
 from .cloth_model import FloatArray, IntArray
 from .garment import bind_to_surface
 from .topology import triangles_beside
@@ -83,48 +83,41 @@ class PosedLimbs:
 
     A limb lies where the rigid motion that fits it best takes it (Kabsch 1976).
 
+    Args:
+        grids: The grids at rest.
+        body, body_faces, limb: The body at rest [m], its triangles and their limbs.
+        points: Where its vertices are in a pose, shape [body_vertex_count]; read by every :meth:`move`.
+
     Attributes:
         struct: As kernels read them.
     """
 
-    def __init__(self, grids: GridShapes, body: FloatArray, body_faces: IntArray, limb: IntArray, device: wp.Device):
+    def __init__(self, grids: GridShapes, body: FloatArray, body_faces: IntArray, limb: IntArray, points: wp.array):
+        device, count = points.device, len(grids.extents)
         members = []
-        for number in range(len(grids.extents)):
+        for number in range(count):
             vertices = np.unique(body_faces[limb == number])
             if not len(vertices):
                 vertices = np.arange(len(body))
             members.append(vertices[np.linspace(0, len(vertices) - 1, FRAME_POINTS).astype(int)])
-        self._members = np.array(members, np.int64).reshape(-1, FRAME_POINTS)
-        rest = body[self._members]
-        self._centre = rest.mean(1)
-        self._rest = rest - self._centre[:, None]
-        self._size = (self._rest**2).sum((1, 2))
-        self._origin = grids.origin
-        self.struct = LimbGrids()
-        self._limbs = np.zeros(len(grids.extents), LimbGrid.numpy_dtype())
-        self._limbs["extent"] = grids.extents
-        self.struct.limbs = wp.array(self._limbs, dtype=LimbGrid, device=device)
+        chosen = np.array(members, np.int32).reshape(-1, FRAME_POINTS)
+        rest = body[chosen]
+        centre = rest.mean(1)
+
+        def upload(values: NDArray, dtype: type) -> wp.array:
+            return wp.array(values, dtype=dtype, device=device)
+
+        limbs = np.zeros(count, LimbGrid.numpy_dtype())
+        limbs["extent"] = grids.extents
         cells = np.zeros(len(grids.cells), GridCell.numpy_dtype())
         cells["triangle"], cells["gap"] = grids.cells, grids.gaps
-        self.struct.cells = wp.array(cells, dtype=GridCell, device=device)
+        self.struct = LimbGrids()
+        self.struct.limbs, self.struct.cells = upload(limbs, LimbGrid), upload(cells, GridCell)
+        centred, corner = upload(rest - centre[:, None], wp.vec3), upload(centre - grids.origin, wp.vec3)
+        inputs = [points, upload(chosen, wp.int32), centred, corner, CELL]
+        self._fit = wp.launch(fit_limbs, count, inputs, [self.struct.limbs], device=device, record_cmd=True)
 
-    def move(self, body: NDArray[np.floating] | wp.array) -> None:
-        """Put the limbs where they lie on a body, shape [body_vertex_count, 3]."""
-        if not len(self._members):
-            return
-        points: NDArray[np.floating] = body if isinstance(body, np.ndarray) else body.numpy()
-        self._limbs["frame"] = self._fit(points[self._members].astype(np.float64))
-        self.struct.limbs.assign(self._limbs)
-
-    def _fit(self, posed: FloatArray) -> NDArray[np.float32]:
-        """Matrices that take points of the pose to cells of each limb's grid, shape [limb_count, 3, 4], where limbs lie
-        whose points [limb_count, FRAME_POINTS, 3] are in these places; a unit of length of the pose included.
-        """
-        centre = posed.mean(1)
-        posed -= centre[:, None]
-        u, _, vt = np.linalg.svd(np.swapaxes(self._rest, 1, 2) @ posed)
-        u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
-        scale = np.sqrt(self._size / np.maximum((posed**2).sum((1, 2)), 1e-30))
-        turn = scale[:, None, None] * (u @ vt)
-        moved = self._centre - np.einsum("lij,lj->li", turn, centre) - self._origin
-        return (np.concatenate([turn, moved[:, :, None]], 2) / CELL).astype(np.float32)
+    def move(self) -> None:
+        """Put the limbs where they lie on the body as it is now."""
+        if len(self.struct.limbs):
+            self._fit.launch()

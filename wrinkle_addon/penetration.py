@@ -147,13 +147,14 @@ class PosedBody:
     """A body on a device, in whatever pose it was moved to last.
 
     Attributes:
+        points: Where its vertices are, shape [vertex_count].
         struct: As kernels read it.
     """
 
     def __init__(self, faces: IntArray, vertex_count: int, limb: IntArray, device: wp.Device):
         self.vertex_count = vertex_count
         start, around = (wp.array(values, device=device) for values in faces_around(faces, vertex_count))
-        self._points = wp.zeros(vertex_count, dtype=wp.vec3, device=device)
+        self.points = wp.zeros(vertex_count, dtype=wp.vec3, device=device)
         self.struct = PosedSurface()
         self.struct.vertices = wp.zeros(vertex_count, dtype=SkinVertex, device=device)
         triangles = np.stack([*faces.T, *triangles_beside(faces).T, limb, np.zeros(len(faces))], 1)
@@ -161,14 +162,14 @@ class PosedBody:
 
         corners = wp.array(faces, dtype=wp.int32, device=device)
         of_faces = wp.zeros((1, len(faces)), dtype=wp.vec3, device=device)
-        points = self._points.reshape((1, vertex_count))
+        points = self.points.reshape((1, vertex_count))
 
         def face_part(first: int, count: int) -> wp.Launch:
             part = slice(first, first + count)
             inputs, outputs = [points, corners[part]], [of_faces[:, part]]
             return wp.launch(body_surface.face_normals, (1, count), inputs, outputs, device=device, record_cmd=True)
 
-        posed = [self._points, of_faces.flatten(), start, around], [self.struct.vertices]
+        posed = [self.points, of_faces.flatten(), start, around], [self.struct.vertices]
         self._pose = [
             SplitLaunch(len(faces), device).record_parts(face_part),
             SplitLaunch(vertex_count, device).record(pose_vertices, *posed),
@@ -183,9 +184,9 @@ class PosedBody:
         if len(positions) != self.vertex_count:
             raise ValueError(f"The body has {len(positions)} vertices, but {self.vertex_count} at rest.")
         if isinstance(positions, np.ndarray):
-            self._points.assign(np.ascontiguousarray(positions, np.float32))
+            self.points.assign(np.ascontiguousarray(positions, np.float32))
         else:
-            wp.copy(self._points, positions)
+            wp.copy(self.points, positions)
         for launch in self._pose:
             launch()
 
@@ -208,7 +209,7 @@ class PushOut:
         self.device = wp.get_device(device)
         count = len(binding.start)
         self._body = PosedBody(binding.body_faces, len(binding.body), binding.limb, self.device)
-        self._limbs = PosedLimbs(binding.grids, binding.body, binding.body_faces, binding.limb, self.device)
+        self._limbs = PosedLimbs(binding.grids, binding.body, binding.body_faces, binding.limb, self._body.points)
         self.rings = round(self.settings.spread / binding.edge)
         self._clearance = Clearance()
         self._clearance.most, self._clearance.soft = self.settings.distance, self.settings.soft
@@ -270,7 +271,7 @@ class PushOut:
             ValueError: If it has another number of vertices than at rest.
         """
         self._body.move(body)
-        self._limbs.move(body)
+        self._limbs.move()
 
     def clear(self, body: NDArray[np.floating] | wp.array | None, positions: wp.array, metre: float = 1.0) -> None:
         """Push a garment out of the body, in place.
