@@ -14,6 +14,7 @@ from ..kernels.cloth import assembly, hinges, membrane, springs, triangles
 from .cloth_model import ClothModel, FabricPart, FloatArray
 from .elastic_elements import Gathering, HingeRest, SpringRest
 from .fabrics import Fabric
+from .topology import by_fours
 
 
 def membrane_of(fabric: Fabric) -> membrane.Membrane:
@@ -35,10 +36,14 @@ def upload_garment(model: ClothModel, pin_stiffness: FloatArray, device: Any) ->
     """A model as kernels take it; ``pin_stiffness`` [N/m] holds each vertex to its pin target, shape [vertex_count]."""
     garment = assembly.Garment()
     garment.rest_inverse = wp.array(model.rest_inverse, dtype=wp.mat22d, device=device)
-    for name in ("rest_area", "mass", "area", "bending_coefficients"):
+    for name in ("rest_area", "mass", "area"):
         setattr(garment, name, wp.array(getattr(model, name), dtype=wp.float64, device=device))
-    for name in ("faces", "corner_start", "bending_start", "bending_columns"):
+    for name in ("faces", "corner_start"):
         setattr(garment, name, wp.array(getattr(model, name), dtype=wp.int32, device=device))
+    start, columns, coefficients = by_fours(model.bending_start, model.bending_columns, model.bending_coefficients)
+    garment.bending_start = wp.array(start, dtype=wp.int32, device=device)
+    garment.bending_columns = wp.array(columns, dtype=wp.vec4i, device=device)
+    garment.bending_coefficients = wp.array(coefficients, dtype=wp.vec4d, device=device)
     garment.shape_gradients = wp.array(shape_gradients(model.rest_inverse), dtype=wp.vec2d, device=device)
     triangle, corner = np.divmod(model.corners, 3)
     garment.corners = wp.array(triangle << 2 | corner, dtype=wp.int32, device=device)

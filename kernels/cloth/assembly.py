@@ -23,6 +23,7 @@ class Garment:
 
     ``shape_gradients`` [1/m] are those of the linear shape functions of every triangle's corners in material
     coordinates; ``corners`` lists triangle << 2 | corner around each vertex, since a division takes longer than a term.
+    Rows of the bending matrix are four entries at a time.
     """
 
     faces: wp.array2d[wp.int32]
@@ -34,8 +35,8 @@ class Garment:
     corner_start: wp.array[wp.int32]
     corners: wp.array[wp.int32]
     bending_start: wp.array[wp.int32]
-    bending_columns: wp.array[wp.int32]
-    bending_coefficients: wp.array[wp.float64]
+    bending_columns: wp.array[wp.vec4i]
+    bending_coefficients: wp.array[wp.vec4d]
     pin_stiffness: wp.array[wp.float64]
 
 
@@ -256,6 +257,8 @@ def assemble_own_blocks(
     for k in range(row_start[vertex], row_start[vertex + 1]):
         if k != own:
             others += wp.mat33d(blocks[world, k])
+    # The others are rounded, each for itself.
+    others = wp.float64(0.5) * (others + wp.transpose(others))
     blocks[world, own] = wp.mat33(own_bending[vertex] * wp.identity(n=3, dtype=wp.float64) - others)
 
 

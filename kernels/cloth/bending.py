@@ -28,11 +28,15 @@ def bending_gradient(
     world: wp.int32,
     positions: wp.array2d[wp.vec3d],
     row_start: wp.array[wp.int32],
-    columns: wp.array[wp.int32],
-    coefficients: wp.array[wp.float64],
+    columns: wp.array[wp.vec4i],
+    coefficients: wp.array[wp.vec4d],
 ) -> wp.vec3d:
-    """Row ``vertex`` of Q x [N]; half its dot product with x is the row's share of the energy."""
+    """Row ``vertex`` of Q x [N], four entries at once; half its dot product with x is the row's share of the energy."""
     total = wp.vec3d()
     for k in range(row_start[vertex], row_start[vertex + 1]):
-        total += coefficients[k] * positions[world, columns[k]]
+        c = columns[k]
+        q = coefficients[k]
+        total += (q[0] * positions[world, c[0]] + q[1] * positions[world, c[1]]) + (
+            q[2] * positions[world, c[2]] + q[3] * positions[world, c[3]]
+        )
     return total

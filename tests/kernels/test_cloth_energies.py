@@ -6,7 +6,7 @@ import warp as wp
 from cloth_shapes import sheet
 from wrinkle_synthesis.kernels.cloth import bending, contact, friction, membrane
 from wrinkle_synthesis.wrinkle_addon.cloth_model import Fabric, build_cloth_model
-from wrinkle_synthesis.wrinkle_addon.elasticity import shape_gradients
+from wrinkle_synthesis.wrinkle_addon.elasticity import shape_gradients, upload_garment
 
 # Central differences of smooth float64 functions with this step are good to about 1e-8 of their scale.
 STEP = 1.0e-5
@@ -122,8 +122,8 @@ def test_membrane_hessian_of_a_stretched_triangle_is_left_as_it_is(triangles):
 def evaluate_bending(
     positions: wp.array2d[wp.vec3d],
     row_start: wp.array[wp.int32],
-    columns: wp.array[wp.int32],
-    coefficients: wp.array[wp.float64],
+    columns: wp.array[wp.vec4i],
+    coefficients: wp.array[wp.vec4d],
     gradient: wp.array2d[wp.vec3d],
 ):
     world, vertex = wp.tid()
@@ -167,10 +167,10 @@ def test_bending_force_is_the_derivative_of_the_energy_of_a_plate(device):
 
     moved = 0.05 * rng.normal(size=(len(middle), 3))
     gradient = wp.zeros((1, len(rest)), dtype=wp.vec3d, device=device)
-    lists = [wp.array(model.bending_start, device=device), wp.array(model.bending_columns, device=device)]
-    inputs = [wp.array(place(moved)[None], dtype=wp.vec3d, device=device), *lists]
-    coefficients = wp.array(model.bending_coefficients, dtype=wp.float64, device=device)
-    wp.launch(evaluate_bending, (1, len(rest)), [*inputs, coefficients], [gradient], device=device)
+    garment = upload_garment(model, np.zeros(len(rest)), device)
+    rows = [garment.bending_start, garment.bending_columns, garment.bending_coefficients]
+    inputs = [wp.array(place(moved)[None], dtype=wp.vec3d, device=device), *rows]
+    wp.launch(evaluate_bending, (1, len(rest)), inputs, [gradient], device=device)
 
     def energy(moves):
         return np.array(
