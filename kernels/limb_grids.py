@@ -82,9 +82,10 @@ def fit_limbs(
         spread += wp.outer(rest[limb, k], posed)
         size += wp.length_sq(rest[limb, k])
         posed_size += wp.length_sq(posed)
-    # Both are rotations, strengths have signs: no limb is turned inside out.
-    u, _strength, v = wp.svd3(spread)
-    turn = (wp.sqrt(size / wp.max(posed_size, 1.0e-30)) / cell) * (u * wp.transpose(v))
+    # Both are rotations, strengths have signs: no limb is turned inside out. In single precision they are not found.
+    sizes = wp.max(wp.sqrt(size * posed_size), 1.0e-30)
+    u, _strength, v = wp.svd3(wp.mat33d(spread / sizes))
+    turn = (wp.sqrt(size / wp.max(posed_size, 1.0e-30)) / cell) * wp.mat33(u * wp.transpose(v))
     moved = centre[limb] / cell - turn * mean
     limbs[limb].frame = mat_frame(
         turn[0, 0], turn[0, 1], turn[0, 2], moved[0],
@@ -103,13 +104,13 @@ def cell_triangle(grids: LimbGrids, limb: wp.int32, p: wp.vec3) -> wp.int32:
     """The limb's triangle about a point of the pose; -1 where it is far."""
     found = wp.int32(-1)
     at = grids.limbs[limb].frame * wp.vec4(p[0], p[1], p[2], 1.0)
-    if at[0] >= 0.0 and at[1] >= 0.0 and at[2] >= 0.0:
-        i = wp.int32(at[0])
-        j = wp.int32(at[1])
-        k = wp.int32(at[2])
-        extent = grids.limbs[limb].extent
-        if i < extent[0] and j < extent[1] and k < extent[2]:
-            found = grids.cells[cell_number(extent, i, j, k)].triangle
+    extent = grids.limbs[limb].extent
+    # Before they are whole numbers: of a limb without size, places have no room in those.
+    within = at[0] >= 0.0 and at[1] >= 0.0 and at[2] >= 0.0
+    for axis in range(3):
+        within = within and at[axis] < wp.float32(extent[axis])
+    if within:
+        found = grids.cells[cell_number(extent, wp.int32(at[0]), wp.int32(at[1]), wp.int32(at[2]))].triangle
     return found
 
 

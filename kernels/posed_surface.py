@@ -5,7 +5,7 @@ Cheaper than a search of the whole surface, and a point keeps to its own side of
 
 import warp as wp
 
-from .cloth.body_surface import closest_point_on_triangle, farthest_corner, smooth_step
+from .cloth.body_surface import closest_point_on_triangle, farthest_corner, normal_around, smooth_step
 
 wp.set_module_options({"enable_backward": False})
 
@@ -58,14 +58,11 @@ def pose_vertices(
     # outputs
     vertices: wp.array[SkinVertex],
 ):
-    """Vertices from ``first`` on with area-weighted unit normals; ``around`` lists the faces around each one."""
+    """Vertices from ``first`` on with their normals."""
     v = first + wp.tid()
-    total = wp.vec3()
-    for k in range(around_start[v], around_start[v + 1]):
-        total += face_normals[around[k]]
     vertex = SkinVertex()
     vertex.position = points[v]
-    vertex.normal = wp.normalize(total)
+    vertex.normal = normal_around(face_normals, around_start, around, v)
     vertices[v] = vertex
 
 

@@ -1,7 +1,6 @@
 """Bringing synthesised garments into line with a coarse layer (Wang et al. 2010, section 3.4; W80-W86).
 
-All kernels gather, in a fixed
-order; the same input gives the same bits.
+All kernels gather, in a fixed order; the same input gives the same bits.
 """
 
 from typing import Any
@@ -156,10 +155,11 @@ def attach_mesh(
     positions[u] += (strength / wp.float32(FULL_WEIGHT)) * moved
 
 
-for column in (vec4us, wp.vec4i):
-    # A coarse layer of more vertices than 16 bits hold takes twice the room.
-    for kernel in (join_aligned_offsets, attach_mesh):
-        wp.overload(kernel, {"columns": wp.array[column]})
+# Columns of a coarse layer of more vertices than 16 bits hold take twice the room.
+wp.overload(join_aligned_offsets, {"columns": wp.array[vec4us]})
+wp.overload(join_aligned_offsets, {"columns": wp.array[wp.vec4i]})
+wp.overload(attach_mesh, {"columns": wp.array[vec4us]})
+wp.overload(attach_mesh, {"columns": wp.array[wp.vec4i]})
 
 
 @wp.kernel

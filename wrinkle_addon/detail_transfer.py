@@ -120,7 +120,10 @@ class DetailTransfer:
             raise ValueError(f"Offsets cannot be smoothed {iterations} times; choose 0 or more.")
         start, columns, weights = smoothed_weights(match, positions, faces, iterations)
         if follow is not None:
-            weights = weights * np.asarray(follow, np.float32)[rows_of(start)]
+            shares = np.asarray(follow, np.float32)
+            if not ((shares >= 0.0) & (shares <= 1.0)).all():
+                raise ValueError("How far vertices follow the coarse layer must lie between 0 and 1.")
+            weights = weights * shares[rows_of(start)]
         members = match.members(as_published=self.settings.as_published)
         fours, columns, shares = by_fours(start, columns, in_whole_shares(start, weights))
         few = match.coarse_count <= 1 << 16
@@ -131,7 +134,7 @@ class DetailTransfer:
         self._split = SplitLaunch(match.fine_count, self.device)
         self._split_coarse = SplitLaunch(match.fine_count, self.device, block_count=match.coarse_count)
         self._means = wp.zeros(match.coarse_count, dtype=wp.vec3, device=self.device)
-        self._joining: tuple[int, list[RecordedLaunch]] = (-1, [])
+        self._recorded: dict[int, list[RecordedLaunch]] = {}
         self._attaching = self._record_attaching(mean_places(match, *members, as_published=self.settings.as_published))
 
     def _upload_rows(self, start: IntArray, entries: IntArray, weights: NDArray[np.floating]) -> list[wp.array]:
@@ -158,8 +161,8 @@ class DetailTransfer:
         """Join offsets as joints' are, each of them aligned by itself, and :meth:`measure` the garment.
 
         Args:
-            meshes: A garment and offsets of it [m], array of vec3, shape [1 + offset_count, fine_count]; offsets are
-                aligned in place, as far as they can be without the coarse layer.
+            meshes: A garment and one or more offsets of it [m], array of vec3, shape [1 + offset_count, fine_count];
+                offsets are aligned in place, as far as they can be without the coarse layer.
             positions: Where to write the garment with its offsets [m], shape [fine_count].
             strength: As :meth:`attach` will be told.
         """
@@ -168,22 +171,22 @@ class DetailTransfer:
             stage(changed)
 
     def attach(self, coarse: wp.array, positions: wp.array, strength: float = 1.0) -> None:
-        """Bring a garment that was measured or joined into line, in place; arguments as :meth:`align`."""
+        """Bring the garment that was measured or joined last into line, in place; arguments as :meth:`align`."""
         for stage in self._attaching:
             stage({"coarse": coarse, "positions": positions, "strength": strength})
 
     def _launches(self, offset_count: int) -> list[RecordedLaunch]:
         """What measures a garment with so many offsets, and what joins those; the arrays are still to be told."""
         sides = -(-offset_count // LANES)
-        if self._joining[0] != sides:
+        if sides not in self._recorded:
             positions = wp.zeros(self._fine_count, dtype=wp.vec3, device=self.device)
             offsets = positions.reshape((1, self._fine_count))
             means = wp.zeros((sides, self._coarse_count), dtype=mat_lanes, device=self.device)
             measure = [positions, offsets, *self._members], [self._means, means]
             join = [means, *self._rows, 1.0, positions], [offsets, positions]
             launches = [self._split_coarse.record(downsample, *measure)]
-            self._joining = sides, [*launches, self._split.record(join_aligned_offsets, *join)]
-        return self._joining[1]
+            self._recorded[sides] = [*launches, self._split.record(join_aligned_offsets, *join)]
+        return self._recorded[sides]
 
     def _record_attaching(self, places: MeanPlaces) -> list[RecordedLaunch]:
         coarse, missing = (wp.zeros(self._coarse_count, dtype=wp.vec3, device=self.device) for _ in range(2))

@@ -86,12 +86,16 @@ def rows_of(row_start: IntArray) -> IntArray:
 
 
 def by_fours(start: IntArray, columns: IntArray, weights: NDArray) -> tuple[IntArray, IntArray, NDArray]:
-    """Rows of a sparse matrix four entries at a time, the last ones of each row filled up with zeros."""
+    """Rows of a sparse matrix four entries at a time, the last ones of each row filled up with zeros.
+
+    Those are in its first column, so that what is not a number elsewhere stays out of it.
+    """
     row = rows_of(start)
     fours = -(-np.diff(start) // 4)
     first = np.concatenate([[0], np.cumsum(fours)]).astype(np.int32)
     place = 4 * first[row] + np.arange(len(columns)) - start[row]
-    wide_columns, wide_weights = np.zeros(4 * first[-1], np.int32), np.zeros(4 * first[-1], weights.dtype)
+    wide_columns = columns[np.repeat(start[:-1], 4 * fours)].astype(np.int32)
+    wide_weights = np.zeros(4 * first[-1], weights.dtype)
     wide_columns[place], wide_weights[place] = columns, weights
     return first, wide_columns.reshape(-1, 4), wide_weights.reshape(-1, 4)
 

@@ -122,6 +122,17 @@ def face_normals(
     normals[world, face] = wp.cross(points[world, faces[face, 1]] - a, points[world, faces[face, 2]] - a)
 
 
+@wp.func
+def normal_around(
+    face_normals: wp.array[wp.vec3], around_start: wp.array[wp.int32], around: wp.array[wp.int32], vertex: wp.int32
+) -> wp.vec3:
+    """Area-weighted unit normal of a vertex; ``around`` lists the faces around each one."""
+    total = wp.vec3()
+    for k in range(around_start[vertex], around_start[vertex + 1]):
+        total += face_normals[around[k]]
+    return wp.normalize(total)
+
+
 @wp.kernel
 def vertex_normals(
     face_normals: wp.array2d[wp.vec3],
@@ -130,12 +141,9 @@ def vertex_normals(
     # outputs
     normals: wp.array2d[wp.vec3],
 ):
-    """Area-weighted unit normals of the vertices; ``around`` lists the faces around each vertex."""
+    """Normals of the vertices; see :func:`normal_around`."""
     world, vertex = wp.tid()
-    total = wp.vec3()
-    for k in range(around_start[vertex], around_start[vertex + 1]):
-        total += face_normals[world, around[k]]
-    normals[world, vertex] = wp.normalize(total)
+    normals[world, vertex] = normal_around(face_normals[world], around_start, around, vertex)
 
 
 @wp.func

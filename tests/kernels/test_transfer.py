@@ -19,7 +19,6 @@ from wrinkle_synthesis.wrinkle_addon.detail_transfer import (
     smoothed_weights,
 )
 
-# More meshes than lie side by side.
 MESHES, SMOOTHING = 5, 12
 
 
@@ -121,6 +120,13 @@ def test_a_coarse_layer_may_have_more_vertices_than_16_bits_hold(device, sleeve,
     settings = TransferSettings(smoothing=1)
     found = align(device, (positions, faces, coarse, many), (moved[0][:1], layer), settings)
     np.testing.assert_array_equal(found, align(device, sleeve, (moved[0][:1], moved[1]), settings))
+    joined = []
+    for each in (many, match):
+        transfer = DetailTransfer(each, positions, faces, settings, device=device)
+        meshes = wp.array(moved[0].astype(np.float32), dtype=wp.vec3, device=device)
+        joined.append(wp.zeros(len(positions), dtype=wp.vec3, device=device))
+        transfer.join(meshes, joined[-1])
+    np.testing.assert_array_equal(joined[0].numpy(), joined[1].numpy())
 
 
 def test_weights_in_whole_shares_keep_their_sums():

@@ -154,6 +154,14 @@ def test_a_garment_may_have_more_vertices_than_the_square_root_of_what_32_bits_h
     assert np.add.reduceat(weights, start[:-1]) == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("follow", [-0.1, 1.1, np.nan])
+def test_vertices_that_follow_backwards_or_too_far_are_refused(curved, follow):
+    shares = np.ones(len(curved.rest))
+    shares[3] = follow
+    with pytest.raises(ValueError, match="must lie between 0 and 1"):
+        DetailTransfer(curved.match, curved.rest, curved.faces, follow=shares)
+
+
 def test_a_negative_number_of_iterations_is_refused(curved):
     with pytest.raises(ValueError, match="smoothed -1 times; choose 0 or more"):
         DetailTransfer(curved.match, curved.rest, curved.faces, TransferSettings(-1))

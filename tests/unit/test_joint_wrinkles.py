@@ -207,6 +207,13 @@ def test_placement_carries_the_result_into_another_space(character: Doll, wrinkl
         evaluator.evaluate(pose, out, placement=placement)
         expected = evaluator.positions(pose) @ placement[:3, :3].T + placement[:3, 3]
         assert np.abs(out.numpy() - expected).max() < 10 * SINGLE
+        groups = [[joint.name for joint in wrinkled.header.joints]]
+        apart, placed = (wp.zeros((2, evaluator.vertex_count), dtype=wp.vec3, device=device) for _ in range(2))
+        evaluator.evaluate_apart(pose, groups, apart)
+        evaluator.evaluate_apart(pose, groups, placed, placement=placement)
+        expected = apart.numpy() @ placement[:3, :3].T
+        expected[0] += placement[:3, 3].astype(np.float32)
+        assert np.abs(placed.numpy() - expected).max() < 10 * SINGLE
 
 
 def test_a_frame_is_the_same_to_the_bit_from_any_order(character: Doll, wrinkled: WrinkleDatabase, device: str):

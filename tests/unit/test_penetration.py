@@ -475,6 +475,15 @@ def test_settings_without_a_meaning_are_refused(settings):
         ClearanceSettings(**settings)
 
 
+@pytest.mark.parametrize("members", ["the body", "a limb"])
+@pytest.mark.parametrize("place", [0.0, 0.3])
+def test_limbs_without_size_harm_nothing(two_limbs, members, place):
+    body = two_limbs.body.copy()
+    body[slice(None) if members == "the body" else slice(len(body) // 2)] = place
+    out = cleared(two_limbs.push, body, two_limbs.rest)
+    assert np.isfinite(out).all() and np.abs(out - two_limbs.rest).max() < 1.0
+
+
 def test_a_body_with_other_vertices_is_refused(worn):
     with pytest.raises(ValueError, match=r"The body has 10 vertices, but \d+ at rest\."):
         cleared(worn.push, worn.body[:10], worn.rest)
