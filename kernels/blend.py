@@ -175,7 +175,7 @@ def blend_offsets(
 
 @wp.kernel
 def take_first_away(positions: wp.array2d[wp.vec3]):
-    """Turn all meshes but the first into their offsets from it."""
+    """Turn all meshes but the first into their offsets from it, shape [mesh_count, vertex_count]."""
     vertex = wp.tid()
     for mesh in range(1, positions.shape[0]):
         positions[mesh, vertex] -= positions[0, vertex]

@@ -43,7 +43,7 @@ class GridCell:
 
 @wp.struct
 class LimbGrids:
-    """The grids around a body's limbs and their cells."""
+    """The grids around a body's limbs, shape [limb_count], and the cells of all of them in a row."""
 
     limbs: wp.array[LimbGrid]
     cells: wp.array[GridCell]

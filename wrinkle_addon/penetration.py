@@ -147,7 +147,7 @@ class PosedBody:
     """A body on a device, in whatever pose it was moved to last.
 
     Attributes:
-        points: Where its vertices are, shape [vertex_count].
+        points: Where its vertices are, in any unit of length, array of vec3, shape [vertex_count].
         struct: As kernels read it.
     """
 

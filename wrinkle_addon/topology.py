@@ -89,6 +89,9 @@ def by_fours(start: IntArray, columns: IntArray, weights: NDArray) -> tuple[IntA
     """Rows of a sparse matrix four entries at a time, the last ones of each row filled up with zeros.
 
     Those are in its first column, so that what is not a number elsewhere stays out of it.
+
+    Returns:
+        Where each row's fours begin, [row_count + 1], and their columns and weights, [four_count, 4] each.
     """
     row = rows_of(start)
     fours = -(-np.diff(start) // 4)
