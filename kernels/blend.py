@@ -3,6 +3,7 @@
 import warp as wp
 
 from .interpolate import CORNERS, interpolate_about_axis, interpolate_about_point
+from .natural import natural
 from .skinning import Skin, skinned_position, skinned_turn
 
 wp.set_module_options({"enable_backward": False})
@@ -92,14 +93,15 @@ def add_joint(
     sums: Sums,
 ):
     """Interpolate a joint's offsets multilinearly on every vertex of a block, and add them to a mesh's sums."""
-    for entry in range(samples.entry_start[joint, block], samples.entry_start[joint, block + 1]):
+    for i in range(samples.entry_start[joint, block], samples.entry_start[joint, block + 1]):
+        entry = natural(i)
         offset = wp.vec3()
         # Unrolled, with starts and weights in registers.
         for corner in range(CORNERS):
             if start[corner] >= 0:
-                offset += weight[corner] * samples.offsets[start[corner] + entry]
+                offset += weight[corner] * samples.offsets[natural(start[corner] + entry)]
         offset = (strength * samples.entry_window[entry]) * offset
-        vertex = samples.entry_vertex[entry]
+        vertex = natural(samples.entry_vertex[entry])
         samples.entry_offset[entry] = offset
         sums.total[mesh, vertex] = sums.total[mesh, vertex] + offset
 
@@ -114,8 +116,9 @@ def find_largest(
     sums: Sums,
 ):
     """Compare a joint's shares in a mesh's sums on every vertex of a block with the largest so far."""
-    for entry in range(samples.entry_start[joint, block], samples.entry_start[joint, block + 1]):
-        vertex = samples.entry_vertex[entry]
+    for i in range(samples.entry_start[joint, block], samples.entry_start[joint, block + 1]):
+        entry = natural(i)
+        vertex = natural(samples.entry_vertex[entry])
         share = wp.abs(wp.dot(sums.total[mesh, vertex], samples.entry_offset[entry]))
         sums.largest[mesh, vertex] = wp.max(sums.largest[mesh, vertex], share)
 
@@ -155,7 +158,8 @@ def blend_offsets(
     begin = block * samples.block_size
     end = wp.min(begin + samples.block_size, positions.shape[1])
     for mesh in range(positions.shape[0]):
-        for vertex in range(begin, end):
+        for i in range(begin, end):
+            vertex = natural(i)
             sums.total[mesh, vertex] = wp.vec3()
             sums.largest[mesh, vertex] = 0.0
     for joint in range(corner_start.shape[0]):
@@ -165,7 +169,8 @@ def blend_offsets(
     for joint in range(corner_start.shape[0]):
         if corner_start[joint][0] >= 0 and strength[joint] != 0.0:
             find_largest(samples, block, joint, mesh_of_joint[joint], sums)
-    for vertex in range(begin, end):
+    for i in range(begin, end):
+        vertex = natural(i)
         turn = skinned_turn(skin, turns, vertex)
         for mesh in range(positions.shape[0]):
             offset = join_offsets(sums.total[mesh, vertex], sums.largest[mesh, vertex])

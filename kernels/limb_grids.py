@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from .natural import natural
 from .posed_surface import LIMB, PosedSurface, height_over_corner, point_at, walk_downhill
 
 wp.set_module_options({"enable_backward": False})
@@ -103,14 +104,14 @@ def cell_number(extent: wp.vec4i, i: wp.int32, j: wp.int32, k: wp.int32) -> wp.i
 def cell_triangle(grids: LimbGrids, limb: wp.int32, p: wp.vec3) -> wp.int32:
     """The limb's triangle about a point of the pose; -1 where it is far."""
     found = wp.int32(-1)
-    at = grids.limbs[limb].frame * wp.vec4(p[0], p[1], p[2], 1.0)
-    extent = grids.limbs[limb].extent
+    at = grids.limbs[natural(limb)].frame * wp.vec4(p[0], p[1], p[2], 1.0)
+    extent = grids.limbs[natural(limb)].extent
     # Before they are whole numbers: of a limb without size, places have no room in those.
     within = at[0] >= 0.0 and at[1] >= 0.0 and at[2] >= 0.0
     for axis in range(3):
         within = within and at[axis] < wp.float32(extent[axis])
     if within:
-        found = grids.cells[cell_number(extent, wp.int32(at[0]), wp.int32(at[1]), wp.int32(at[2]))].triangle
+        found = grids.cells[natural(cell_number(extent, wp.int32(at[0]), wp.int32(at[1]), wp.int32(at[2])))].triangle
     return found
 
 
@@ -162,7 +163,7 @@ def limb_triangle(surface: PosedSurface, grids: LimbGrids, limb: wp.int32, p: wp
 def distance_downhill(surface: PosedSurface, p: wp.vec3, start: wp.int32) -> wp.float32:
     """How far p is from where a walk from this triangle ends."""
     face, w = walk_downhill(surface, p, start, -1)
-    return wp.length(p - point_at(surface.vertices, surface.triangles[face], w))
+    return wp.length(p - point_at(surface.vertices, surface.triangles[natural(face)], w))
 
 
 @wp.func
@@ -174,11 +175,12 @@ def nearer_triangle(surface: PosedSurface, grids: LimbGrids, p: wp.vec3, start: 
     """
     found = start
     if grids.limbs.shape[0] > 0:
-        under = surface.triangles[start]
+        under = surface.triangles[natural(start)]
         other = cell_triangle(grids, under[LIMB], p)
         if other >= 0 and other != start:
-            near = surface.vertices[under[0]].position - p
-            other_near = surface.vertices[surface.triangles[other][0]].position - p
+            near = surface.vertices[natural(under[0])].position - p
+            other_corner = surface.triangles[natural(other)][0]
+            other_near = surface.vertices[natural(other_corner)].position - p
             if wp.length_sq(other_near) < wp.length_sq(near):
                 found = other
                 other = start

@@ -8,6 +8,7 @@ moved out to that: the body leaves a place there.
 import warp as wp
 
 from .limb_grids import LimbGrids, limb_triangle, limbs_around, nearer_triangle
+from .natural import natural
 from .penetration import CLUSTER, NOWHERE, Clearance, facing_wall, height_between, needed_height, softened
 from .posed_surface import LIMB, PosedSurface, find_foot, find_foot_within, rise_between
 from .spreading import RING, Neighbours
@@ -58,7 +59,7 @@ def move_out_of_limb(
     move = wp.vec3()
     enough = needed * clearance.metre
     foot, g, m, trust = find_foot_within(
-        surface, p, begin, surface.triangles[own][LIMB], tolerance * clearance.metre, enough
+        surface, p, begin, surface.triangles[natural(own)][LIMB], tolerance * clearance.metre, enough
     )
     lack = needed - g / clearance.metre
     wall_skin = p - g * m
@@ -171,7 +172,7 @@ def push_between_limbs(
         low = wp.vec3(NOWHERE)
         high = wp.vec3(-NOWHERE)
         for i in range(cluster, stop):
-            v = order[i]
+            v = natural(order[natural(i)])
             p = positions[v]
             if push[v] > 0.0 and face[v] < 0:
                 below = nearer_triangle(surface, grids, p, start[v])
@@ -184,12 +185,12 @@ def push_between_limbs(
             high = wp.max(high, pushed)
         limbs = limbs_around(grids, low, high)
         for i in range(cluster, stop):
-            v = order[i]
+            v = natural(order[natural(i)])
             p = positions[v]
             own = wp.where(face[v] >= 0, face[v], start[v])
             needed = needed_height(rest_height[v], clearance)
             pushed = p + push[v] * clearance.metre * normal[v]
-            near = limbs & ~(1 << surface.triangles[own][LIMB])
+            near = limbs & ~(1 << surface.triangles[natural(own)][LIMB])
             move = wp.vec3()
             most = wp.float32(0.0)
             if near != 0:
@@ -217,7 +218,7 @@ def lacks_around(neighbours: Neighbours, lack: wp.array[wp.float32], v: wp.int32
     ring = neighbours.ring[v]
     total = lack[v]
     for k in range(RING):
-        total += lack[ring[k]]
+        total += lack[natural(ring[k])]
     for k in range(neighbours.begin[v] + RING, neighbours.begin[v + 1]):
         total += lack[neighbours.all[k]]
     return total > 0.0
@@ -230,7 +231,7 @@ def mean_move(neighbours: Neighbours, moves: wp.array[wp.vec3], v: wp.int32) -> 
     end = neighbours.begin[v + 1]
     total = wp.vec3()
     for k in range(begin, end):
-        total += moves[neighbours.all[k]]
+        total += moves[natural(neighbours.all[natural(k)])]
     return 0.5 * moves[v] + 0.5 * total / wp.float32(wp.max(end - begin, 1))
 
 
@@ -304,7 +305,8 @@ def push_out(
     two limbs, to the crease between them.
     """
     block = (first + wp.tid()) * block_size
-    for v in range(block, wp.min(block + block_size, positions.shape[0])):
+    for i in range(block, wp.min(block + block_size, positions.shape[0])):
+        v = natural(i)
         p = positions[v]
         pushed = p + push[v] * clearance.metre * normal[v]
         move = wp.vec3()
@@ -313,7 +315,7 @@ def push_out(
             own = wp.where(face[v] >= 0, face[v], start[v])
             needed = needed_height(rest_height[v], clearance)
             place = pushed + move
-            near = limbs_around(grids, place, place) & ~(1 << surface.triangles[own][LIMB])
+            near = limbs_around(grids, place, place) & ~(1 << surface.triangles[natural(own)][LIMB])
             move, _most, most_in = move_out_of_limbs(
                 surface,
                 grids,

@@ -9,6 +9,7 @@ thread deals with a block of vertices, on a GPU with one: what surface and grids
 import warp as wp
 
 from .limb_grids import PLAINLY_OUTSIDE, LimbGrids, cell_triangle, limbs_around, nearer_triangle
+from .natural import natural
 from .posed_surface import LIMB, PosedSurface, find_foot, find_foot_within, height_over_corner, rise_between
 from .spreading import Neighbours
 
@@ -156,7 +157,7 @@ def lack_over(
 ) -> wp.float32:
     """Push that a vertex needs over its foot [m], where these limbs are around."""
     asked = needed
-    near = limbs & ~(1 << surface.triangles[foot][LIMB])
+    near = limbs & ~(1 << surface.triangles[natural(foot)][LIMB])
     if near != 0:
         skin = position - height * clearance.metre * normal
         asked = asked_height(surface, grids, near, skin, normal, height, needed, clearance, tolerance)
@@ -192,7 +193,7 @@ def find_lacks(
         low = wp.vec3(NOWHERE)
         high = wp.vec3(-NOWHERE)
         for i in range(cluster, stop):
-            v = order[i]
+            v = natural(order[natural(i)])
             p = positions[v]
             needed = needed_height(rest_height[v], clearance)
             below = nearer_triangle(surface, grids, p, start[v])
@@ -212,7 +213,7 @@ def find_lacks(
             lack[v] = trust
         limbs = limbs_around(grids, low, high)
         for i in range(cluster, stop):
-            v = order[i]
+            v = natural(order[natural(i)])
             h = height[v]
             needed = needed_height(rest_height[v], clearance)
             if face[v] >= 0 and h < needed:
@@ -252,7 +253,8 @@ def mend_feet(
     nearly outside there, then it does not lie deep inside.
     """
     block = (first + wp.tid()) * block_size
-    for v in range(block, wp.min(block + block_size, positions.shape[0])):
+    for i in range(block, wp.min(block + block_size, positions.shape[0])):
+        v = natural(i)
         p = positions[v]
         foot = found_face[v]
         h = found_height[v]

@@ -6,6 +6,7 @@ Cheaper than a search of the whole surface, and a point keeps to its own side of
 import warp as wp
 
 from .cloth.body_surface import closest_point_on_triangle, farthest_corner, normal_around, smooth_step
+from .natural import natural
 
 wp.set_module_options({"enable_backward": False})
 
@@ -59,7 +60,7 @@ def pose_vertices(
     vertices: wp.array[SkinVertex],
 ):
     """Vertices from ``first`` on with their normals."""
-    v = first + wp.tid()
+    v = natural(first + wp.tid())
     vertex = SkinVertex()
     vertex.position = points[v]
     vertex.normal = normal_around(face_normals, around_start, around, v)
@@ -77,9 +78,9 @@ def rise_between(x: wp.float32, low: wp.float32, high: wp.float32) -> wp.float32
 def point_at(vertices: wp.array[SkinVertex], triangle: vec_triangle, w: wp.vec3) -> wp.vec3:
     """Point at barycentric coordinates w of a triangle."""
     return (
-        w[0] * vertices[triangle[0]].position
-        + w[1] * vertices[triangle[1]].position
-        + w[2] * vertices[triangle[2]].position
+        w[0] * vertices[natural(triangle[0])].position
+        + w[1] * vertices[natural(triangle[1])].position
+        + w[2] * vertices[natural(triangle[2])].position
     )
 
 
@@ -87,16 +88,18 @@ def point_at(vertices: wp.array[SkinVertex], triangle: vec_triangle, w: wp.vec3)
 def normal_at(vertices: wp.array[SkinVertex], triangle: vec_triangle, w: wp.vec3) -> wp.vec3:
     """Normal, not of unit length, at barycentric coordinates w of a triangle."""
     return (
-        w[0] * vertices[triangle[0]].normal + w[1] * vertices[triangle[1]].normal + w[2] * vertices[triangle[2]].normal
+        w[0] * vertices[natural(triangle[0])].normal
+        + w[1] * vertices[natural(triangle[1])].normal
+        + w[2] * vertices[natural(triangle[2])].normal
     )
 
 
 @wp.func
 def closest_on_triangle(vertices: wp.array[SkinVertex], triangle: vec_triangle, p: wp.vec3):
     """Barycentric coordinates of a triangle's point that is closest to p, and its squared distance."""
-    a = vertices[triangle[0]].position
-    b = vertices[triangle[1]].position
-    c = vertices[triangle[2]].position
+    a = vertices[natural(triangle[0])].position
+    b = vertices[natural(triangle[1])].position
+    c = vertices[natural(triangle[2])].position
     w = closest_point_on_triangle(p, a, b, c)
     away = p - (w[0] * a + w[1] * b + w[2] * c)
     return w, wp.dot(away, away)
@@ -105,7 +108,7 @@ def closest_on_triangle(vertices: wp.array[SkinVertex], triangle: vec_triangle, 
 @wp.func
 def height_over_corner(surface: PosedSurface, face: wp.int32, p: wp.vec3) -> wp.float32:
     """Height of p over the plane that touches the surface at a triangle's first corner."""
-    corner = surface.triangles[face][0]
+    corner = natural(surface.triangles[natural(face)][0])
     return wp.dot(p - surface.vertices[corner].position, surface.vertices[corner].normal)
 
 
@@ -116,7 +119,7 @@ def walk_downhill(surface: PosedSurface, p: wp.vec3, start: wp.int32, own: wp.in
     The walk ends where it comes to the limb ``own``; -1 for none.
     """
     face = start
-    triangle = surface.triangles[face]
+    triangle = surface.triangles[natural(face)]
     w, squared = closest_on_triangle(surface.vertices, triangle, p)
     for _ in range(DOWNHILL_STEPS):
         best = wp.int32(-1)
@@ -126,7 +129,7 @@ def walk_downhill(surface: PosedSurface, p: wp.vec3, start: wp.int32, own: wp.in
         for corner in range(3):
             other = triangle[3 + corner]
             if w[corner] <= 0.0 and other >= 0:
-                across = surface.triangles[other]
+                across = surface.triangles[natural(other)]
                 v, d = closest_on_triangle(surface.vertices, across, p)
                 if d < squared:
                     best = other
@@ -151,19 +154,24 @@ def walk_smooth(surface: PosedSurface, p: wp.vec3, start: wp.int32, place: wp.ve
     here. Unlike the closest point it moves on steadily over hollows.
     """
     face = start
-    triangle = surface.triangles[face]
+    triangle = surface.triangles[natural(face)]
     w = place
     found = wp.int32(-1)
     normal = normal_at(surface.vertices, triangle, w)
     height = wp.dot(p - point_at(surface.vertices, triangle, w), normal) / wp.dot(normal, normal)
     for _ in range(SMOOTH_STEPS):
-        na = surface.vertices[triangle[0]].normal
-        nb = surface.vertices[triangle[1]].normal
-        nc = surface.vertices[triangle[2]].normal
-        a = surface.vertices[triangle[0]].position - p
-        b = surface.vertices[triangle[1]].position - p
-        c = surface.vertices[triangle[2]].position - p
-        w, normal, rise = smooth_step(a, b, c, na, nb, nc, height)
+        i = natural(triangle[0])
+        j = natural(triangle[1])
+        k = natural(triangle[2])
+        w, normal, rise = smooth_step(
+            surface.vertices[i].position - p,
+            surface.vertices[j].position - p,
+            surface.vertices[k].position - p,
+            surface.vertices[i].normal,
+            surface.vertices[j].normal,
+            surface.vertices[k].normal,
+            height,
+        )
         height += rise
         if w[0] >= -1.0e-5 and w[1] >= -1.0e-5 and w[2] >= -1.0e-5:
             if wp.abs(rise) < tolerance:
@@ -174,7 +182,7 @@ def walk_smooth(surface: PosedSurface, p: wp.vec3, start: wp.int32, place: wp.ve
             face = triangle[3 + farthest_corner(w)]
             if face < 0:
                 break
-            triangle = surface.triangles[face]
+            triangle = surface.triangles[natural(face)]
     size = wp.length(normal)
     return found, height * size, normal / size
 
@@ -187,12 +195,12 @@ def foot_near(surface: PosedSurface, p: wp.vec3, face: wp.int32, w: wp.vec3, tol
     """
     trust = wp.float32(1.0)
     foot, height, normal = walk_smooth(surface, p, face, w, tolerance)
-    away = p - point_at(surface.vertices, surface.triangles[face], w)
+    away = p - point_at(surface.vertices, surface.triangles[natural(face)], w)
     farthest = STEEPEST * wp.length(away)
     height = wp.clamp(height, -farthest, farthest)
     if foot < 0:
         foot = face
-        normal = wp.normalize(normal_at(surface.vertices, surface.triangles[face], w))
+        normal = wp.normalize(normal_at(surface.vertices, surface.triangles[natural(face)], w))
         height = wp.dot(away, normal)
         trust = rise_between(wp.abs(height), ASKEW[0] * wp.length(away), ASKEW[1] * wp.length(away))
     if not wp.isfinite(height) or not wp.isfinite(normal[0] + normal[1] + normal[2]):
@@ -220,7 +228,7 @@ def find_foot_within(
     Else the place that the walk came to, whose normal is near enough, and no less than ``enough`` for the height.
     """
     foot, w = walk_downhill(surface, p, start, own)
-    triangle = surface.triangles[foot]
+    triangle = surface.triangles[natural(foot)]
     away = p - point_at(surface.vertices, triangle, w)
     outward = normal_at(surface.vertices, triangle, w)
     distance = wp.length(away)

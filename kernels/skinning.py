@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from .natural import natural
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -23,10 +25,10 @@ def skinned_position(skin: Skin, matrices: wp.array[wp.vec4], vertex: wp.int32) 
     row1 = wp.vec4()
     row2 = wp.vec4()
     for k in range(skin.weights.shape[1]):
-        w = skin.weights[vertex, k]
+        w = skin.weights[vertex, natural(k)]
         if w == 0.0:
             break
-        row = 3 * skin.bones[vertex, k]
+        row = natural(3 * skin.bones[vertex, natural(k)])
         row0 += w * matrices[row]
         row1 += w * matrices[row + 1]
         row2 += w * matrices[row + 2]
@@ -39,10 +41,10 @@ def skinned_turn(skin: Skin, turns: wp.array[wp.quat], vertex: wp.int32) -> wp.q
     first = turns[skin.bones[vertex, 0]]
     total = wp.quat(0.0, 0.0, 0.0, 0.0)
     for k in range(skin.weights.shape[1]):
-        w = skin.weights[vertex, k]
+        w = skin.weights[vertex, natural(k)]
         if w == 0.0:
             break
-        q = turns[skin.bones[vertex, k]]
+        q = turns[natural(skin.bones[vertex, natural(k)])]
         if wp.dot(q, first) < 0.0:
             w = -w
         total = total + w * q

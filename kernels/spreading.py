@@ -5,6 +5,8 @@ Arrays of values have an entry more than there are vertices, of 0: what a vertex
 
 import warp as wp
 
+from .natural import natural
+
 wp.set_module_options({"enable_backward": False})
 
 # Neighbours that are read without asking how many there are.
@@ -43,11 +45,12 @@ def believable_lacks(
     In a crook a lone vertex may find its foot on the wrong side of the limb.
     """
     block = (first + wp.tid()) * block_size
-    for v in range(block, wp.min(block + block_size, positions.shape[0])):
+    for k in range(block, wp.min(block + block_size, positions.shape[0])):
+        v = natural(k)
         most = wp.float32(0.0)
         if lack[v] > 0.0:
-            for k in range(neighbours.begin[v], neighbours.begin[v + 1]):
-                u = neighbours.all[k]
+            for entry in range(neighbours.begin[v], neighbours.begin[v + 1]):
+                u = neighbours.all[entry]
                 most = wp.max(most, lack[u] + wp.length(positions[u] - positions[v]) / metre)
         believed[v] = wp.min(lack[v], most)
 
@@ -63,14 +66,15 @@ def largest_around(
 ):
     """The largest value of each vertex and its neighbours; none is below 0."""
     block = (first + wp.tid()) * block_size
-    for v in range(block, wp.min(block + block_size, neighbours.ring.shape[0])):
+    for k in range(block, wp.min(block + block_size, neighbours.ring.shape[0])):
+        v = natural(k)
         ring = neighbours.ring[v]
         most = values[v]
-        for k in range(RING):
-            value = values[ring[k]]
+        for beside in range(RING):
+            value = values[natural(ring[beside])]
             most = wp.where(value > most, value, most)
-        for k in range(neighbours.begin[v] + RING, neighbours.begin[v + 1]):
-            most = wp.max(most, values[neighbours.all[k]])
+        for entry in range(neighbours.begin[v] + RING, neighbours.begin[v + 1]):
+            most = wp.max(most, values[neighbours.all[entry]])
         largest[v] = most
 
 
@@ -85,12 +89,13 @@ def mean_around(
 ):
     """Each vertex half way to the mean of its neighbours."""
     block = (first + wp.tid()) * block_size
-    for v in range(block, wp.min(block + block_size, neighbours.ring.shape[0])):
+    for k in range(block, wp.min(block + block_size, neighbours.ring.shape[0])):
+        v = natural(k)
         ring = neighbours.ring[v]
         total = wp.float32(0.0)
-        for k in range(RING):
-            total += values[ring[k]]
-        for k in range(neighbours.begin[v] + RING, neighbours.begin[v + 1]):
-            total += values[neighbours.all[k]]
+        for beside in range(RING):
+            total += values[natural(ring[beside])]
+        for entry in range(neighbours.begin[v] + RING, neighbours.begin[v + 1]):
+            total += values[neighbours.all[entry]]
         count = neighbours.begin[v + 1] - neighbours.begin[v]
         mean[v] = 0.5 * values[v] + 0.5 * total / wp.float32(wp.max(count, 1))

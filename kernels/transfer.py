@@ -8,6 +8,7 @@ from typing import Any
 import warp as wp
 
 from .blend import join_offsets
+from .natural import natural
 
 wp.set_module_options({"enable_backward": False})
 
@@ -41,17 +42,18 @@ def downsample(
     fine ones has no mean, and nothing takes it up. Vertices from ``first`` on; each thread of a split launch has its
     own part, here and below.
     """
-    v = first + wp.tid()
+    v = natural(first + wp.tid())
     mean = wp.vec3()
     for k in range(start[v], start[v + 1]):
-        mean += weights[k] * positions[members[k]]
+        mean += weights[natural(k)] * positions[natural(members[natural(k)])]
     means[v] = mean
     for side in range(offset_means.shape[0]):
         found = mat_lanes()
         for k in range(start[v], start[v + 1]):
             for lane in range(LANES):
                 if LANES * side + lane < offsets.shape[0]:
-                    found[lane] += weights[k] * offsets[LANES * side + lane, members[k]]
+                    member = natural(members[natural(k)])
+                    found[lane] += weights[natural(k)] * offsets[natural(LANES * side + lane), member]
         offset_means[side, v] = found
 
 
@@ -73,14 +75,14 @@ def join_aligned_offsets(
 
     ``weights`` are a_uv after Laplacian smoothing over the fine mesh, four at a time (eq 6).
     """
-    u = first + wp.tid()
+    u = natural(first + wp.tid())
     share = strength / wp.float32(FULL_WEIGHT)
     total = wp.vec3()
     for side in range(offset_means.shape[0]):
         taken = mat_lanes()
         for k in range(start[u], start[u + 1]):
-            c = columns[k]
-            w = weights[k]
+            c = columns[natural(k)]
+            w = weights[natural(k)]
             taken += (
                 wp.float32(w[0]) * offset_means[side, wp.int32(c[0])]
                 + wp.float32(w[1]) * offset_means[side, wp.int32(c[1])]
@@ -118,10 +120,10 @@ def place_means(
     Places are sums over the coarse vertices around, by weights, and over the normals of the triangles around, by
     heights [m].
     """
-    v = first + wp.tid()
+    v = natural(first + wp.tid())
     place = wp.vec3()
     for k in range(start[v], start[v + 1]):
-        place += weights[k] * coarse[columns[k]]
+        place += weights[natural(k)] * coarse[natural(columns[natural(k)])]
     for k in range(height_start[v], height_start[v + 1]):
         corners = triangles[k]
         a = coarse[corners[0]]
@@ -144,11 +146,11 @@ def attach_mesh(
 
     ``weights`` as for :func:`join_aligned_offsets`.
     """
-    u = first + wp.tid()
+    u = natural(first + wp.tid())
     moved = wp.vec3()
     for k in range(start[u], start[u + 1]):
-        c = columns[k]
-        w = weights[k]
+        c = columns[natural(k)]
+        w = weights[natural(k)]
         moved += (wp.float32(w[0]) * missing[wp.int32(c[0])] + wp.float32(w[1]) * missing[wp.int32(c[1])]) + (
             wp.float32(w[2]) * missing[wp.int32(c[2])] + wp.float32(w[3]) * missing[wp.int32(c[3])]
         )

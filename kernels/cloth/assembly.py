@@ -7,6 +7,7 @@ applied from their planes and never assembled.
 
 import warp as wp
 
+from ..natural import natural
 from .bending import bending_gradient
 from .contact import contact_curvature, contact_energy, contact_force
 from .friction import friction_energy, friction_hessian, friction_slope, tangential
@@ -156,8 +157,8 @@ def gather_pairs(force: wp.array[wp.vec3], contact: Contact, owner: wp.int32) ->
     total = wp.vec3()
     start = contact.incident_start[owner]
     for k in range(start, start + contact.incident_count[owner]):
-        pair = contact.incident[k] >> 2
-        total += contact.pair_weights[pair][contact.incident[k] & 3] * force[pair]
+        incident = natural(contact.incident[natural(k)])
+        total += contact.pair_weights[incident >> 2][incident & 3] * force[incident >> 2]
     return total
 
 
@@ -177,7 +178,8 @@ def gradient(
     result: wp.array2d[wp.vec3d],
 ):
     """Derivative of the total energy by every vertex [N]; ``pair_force`` comes from :func:`pair_forces`."""
-    world, vertex = wp.tid()
+    world, i = wp.tid()
+    vertex = natural(i)
     x = positions[world, vertex]
     mass = garment.mass[vertex]
     total = (mass * inverse_dt2[world]) * (x - inertia_target[world, vertex]) - mass * gravity[world]
@@ -186,8 +188,9 @@ def gradient(
         vertex, world, positions, garment.bending_start, garment.bending_columns, garment.bending_coefficients
     )
     for k in range(garment.corner_start[vertex], garment.corner_start[vertex + 1]):
-        triangle = garment.corners[k] >> 2
-        g = garment.shape_gradients[triangle, garment.corners[k] & 3]
+        corner = natural(garment.corners[natural(k)])
+        triangle = corner >> 2
+        g = garment.shape_gradients[triangle, corner & 3]
         total += garment.rest_area[triangle] * membrane_gradient(
             deformation[world, triangle], stress[world, triangle], g
         )
@@ -224,10 +227,10 @@ def assemble_blocks(
     diagonal, each with the one that mirrors it.
     """
     world, pair = wp.tid()
-    entry = mirrored[pair][0]
+    entry = natural(mirrored[pair][0])
     total = block_bending[entry] * wp.identity(n=3, dtype=wp.float64)
     for k in range(contribution_start[entry], contribution_start[entry + 1]):
-        code = contributions[k]
+        code = natural(contributions[natural(k)])
         triangle = code >> 4
         gi = garment.shape_gradients[triangle, (code >> 2) & 3]
         gj = garment.shape_gradients[triangle, code & 3]
@@ -252,11 +255,11 @@ def assemble_own_blocks(
     ``own_bending`` is the sum of ``block_bending`` over the vertex's row: what bending outside the row takes up.
     """
     world, vertex = wp.tid()
-    own = diagonal_entry[vertex]
+    own = natural(diagonal_entry[vertex])
     others = wp.mat33d()
     for k in range(row_start[vertex], row_start[vertex + 1]):
         if k != own:
-            others += wp.mat33d(blocks[world, k])
+            others += wp.mat33d(blocks[world, natural(k)])
     # The others are rounded, each for itself.
     others = wp.float64(0.5) * (others + wp.transpose(others))
     blocks[world, own] = wp.mat33(own_bending[vertex] * wp.identity(n=3, dtype=wp.float64) - others)
@@ -273,7 +276,8 @@ def assemble_diagonal(
     blocks: wp.array2d[wp.mat33],
 ):
     """Add inertia, pins, contact and friction to the diagonal blocks."""
-    world, vertex = wp.tid()
+    world, i = wp.tid()
+    vertex = natural(i)
     x = positions[world, vertex]
     total = (garment.mass[vertex] * inverse_dt2[world] + garment.pin_stiffness[vertex]) * wp.identity(
         n=3, dtype=wp.float64
@@ -290,7 +294,7 @@ def assemble_diagonal(
             total += contact_force(gap, contact.thickness, strength, contact.depth) * wp.outer(bend, bend)
             drift = tangential(x - contact.anchor[world, plane], n)
             total += friction_hessian(drift, n, contact.friction_bound[world, plane], contact.slip)
-    entry = diagonal_entry[vertex]
+    entry = natural(diagonal_entry[vertex])
     blocks[world, entry] = blocks[world, entry] + wp.mat33(total)
 
 
@@ -320,8 +324,9 @@ def precondition_diagonal(
     owner = world * inverse.shape[1] + vertex
     start = contact.incident_start[owner]
     for k in range(start, start + contact.incident_count[owner]):
-        pair = contact.incident[k] >> 2
-        w = contact.pair_weights[pair][contact.incident[k] & 3]
+        incident = natural(contact.incident[natural(k)])
+        pair = incident >> 2
+        w = contact.pair_weights[pair][incident & 3]
         n = contact.pair_normal[pair]
         total += (w * w * pair_stiffness[pair]) * wp.outer(n, n)
     diagonal[world, vertex] = total

@@ -19,6 +19,8 @@ product with a scalar column acts on x, y and z alike. Its rest state is flat, l
 
 import warp as wp
 
+from ..natural import natural
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -34,9 +36,9 @@ def bending_gradient(
     """Row ``vertex`` of Q x [N], four entries at once; half its dot product with x is the row's share of the energy."""
     total = wp.vec3d()
     for k in range(row_start[vertex], row_start[vertex + 1]):
-        c = columns[k]
-        q = coefficients[k]
-        total += (q[0] * positions[world, c[0]] + q[1] * positions[world, c[1]]) + (
-            q[2] * positions[world, c[2]] + q[3] * positions[world, c[3]]
+        c = columns[natural(k)]
+        q = coefficients[natural(k)]
+        total += (q[0] * positions[world, natural(c[0])] + q[1] * positions[world, natural(c[1])]) + (
+            q[2] * positions[world, natural(c[2])] + q[3] * positions[world, natural(c[3])]
         )
     return total

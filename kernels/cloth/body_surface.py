@@ -2,6 +2,8 @@
 
 import warp as wp
 
+from ..natural import natural
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -67,9 +69,9 @@ def triangle_point(
 ) -> wp.vec3:
     """Point at barycentric coordinates w of a triangle."""
     return (
-        points[world, faces[face, 0]] * w[0]
-        + points[world, faces[face, 1]] * w[1]
-        + points[world, faces[face, 2]] * w[2]
+        points[world, natural(faces[natural(face), 0])] * w[0]
+        + points[world, natural(faces[natural(face), 1])] * w[1]
+        + points[world, natural(faces[natural(face), 2])] * w[2]
     )
 
 
@@ -78,9 +80,9 @@ def closest_point_of_face(
     points: wp.array2d[wp.vec3], faces: wp.array2d[wp.int32], world: wp.int32, face: wp.int32, p: wp.vec3
 ):
     """Coordinates of the closest point of a triangle to p, and how far away it is [m]."""
-    a = points[world, faces[face, 0]]
-    b = points[world, faces[face, 1]]
-    c = points[world, faces[face, 2]]
+    a = points[world, natural(faces[natural(face), 0])]
+    b = points[world, natural(faces[natural(face), 1])]
+    c = points[world, natural(faces[natural(face), 2])]
     w = closest_point_on_triangle(p, a, b, c)
     return w, wp.length(p - triangle_point(points, faces, world, face, w))
 
@@ -105,8 +107,12 @@ def face_direction(
     points: wp.array2d[wp.vec3], faces: wp.array2d[wp.int32], world: wp.int32, face: wp.int32
 ) -> wp.vec3:
     """Unit normal of a triangle."""
-    a = points[world, faces[face, 0]]
-    return wp.normalize(wp.cross(points[world, faces[face, 1]] - a, points[world, faces[face, 2]] - a))
+    a = points[world, natural(faces[natural(face), 0])]
+    return wp.normalize(
+        wp.cross(
+            points[world, natural(faces[natural(face), 1])] - a, points[world, natural(faces[natural(face), 2])] - a
+        )
+    )
 
 
 @wp.kernel
@@ -118,8 +124,10 @@ def face_normals(
 ):
     """Normals of the triangles, each as long as twice its area."""
     world, face = wp.tid()
-    a = points[world, faces[face, 0]]
-    normals[world, face] = wp.cross(points[world, faces[face, 1]] - a, points[world, faces[face, 2]] - a)
+    a = points[world, natural(faces[natural(face), 0])]
+    normals[world, face] = wp.cross(
+        points[world, natural(faces[natural(face), 1])] - a, points[world, natural(faces[natural(face), 2])] - a
+    )
 
 
 @wp.func
@@ -129,7 +137,7 @@ def normal_around(
     """Area-weighted unit normal of a vertex; ``around`` lists the faces around each one."""
     total = wp.vec3()
     for k in range(around_start[vertex], around_start[vertex + 1]):
-        total += face_normals[around[k]]
+        total += face_normals[natural(around[natural(k)])]
     return wp.normalize(total)
 
 
@@ -210,12 +218,12 @@ def smooth_foot(body: BodySurface, world: wp.int32, p: wp.vec3d, start: wp.int32
     normal = wp.vec3()
     for step in range(FOOT_STEPS):
         # As seen from p, which keeps the full precision of its position.
-        a = wp.vec3(wp.vec3d(body.points[world, body.faces[face, 0]]) - p)
-        b = wp.vec3(wp.vec3d(body.points[world, body.faces[face, 1]]) - p)
-        c = wp.vec3(wp.vec3d(body.points[world, body.faces[face, 2]]) - p)
-        na = body.normals[world, body.faces[face, 0]]
-        nb = body.normals[world, body.faces[face, 1]]
-        nc = body.normals[world, body.faces[face, 2]]
+        a = wp.vec3(wp.vec3d(body.points[world, natural(body.faces[natural(face), 0])]) - p)
+        b = wp.vec3(wp.vec3d(body.points[world, natural(body.faces[natural(face), 1])]) - p)
+        c = wp.vec3(wp.vec3d(body.points[world, natural(body.faces[natural(face), 2])]) - p)
+        na = body.normals[world, natural(body.faces[natural(face), 0])]
+        nb = body.normals[world, natural(body.faces[natural(face), 1])]
+        nc = body.normals[world, natural(body.faces[natural(face), 2])]
         if step == 0:
             normal = w[0] * na + w[1] * nb + w[2] * nc
             height = -wp.dot(w[0] * a + w[1] * b + w[2] * c, normal) / wp.dot(normal, normal)
@@ -227,7 +235,7 @@ def smooth_foot(body: BodySurface, world: wp.int32, p: wp.vec3d, start: wp.int32
                 break
         elif wp.abs(rise) < 1.0e-4:
             # Across the edge; only once the height is about right.
-            face = body.beside[face, farthest_corner(w)]
+            face = body.beside[natural(face), farthest_corner(w)]
             if face < 0:
                 break
     return found, w, height, normal
@@ -240,12 +248,12 @@ def hollow_bend(body: BodySurface, world: wp.int32, face: wp.int32, height: wp.f
     A vector c along the direction of the strongest turn, |c|^2 [1/m] its rate; a force f along the normal then resists
     such motion with the stiffness f c c^T [N/m]. Zero where the surface is flat or bulges.
     """
-    na = body.normals[world, body.faces[face, 0]]
-    nb = body.normals[world, body.faces[face, 1]] - na
-    nc = body.normals[world, body.faces[face, 2]] - na
-    a = body.points[world, body.faces[face, 0]]
-    b = body.points[world, body.faces[face, 1]] - a + height * nb
-    c = body.points[world, body.faces[face, 2]] - a + height * nc
+    na = body.normals[world, natural(body.faces[natural(face), 0])]
+    nb = body.normals[world, natural(body.faces[natural(face), 1])] - na
+    nc = body.normals[world, natural(body.faces[natural(face), 2])] - na
+    a = body.points[world, natural(body.faces[natural(face), 0])]
+    b = body.points[world, natural(body.faces[natural(face), 1])] - a + height * nb
+    c = body.points[world, natural(body.faces[natural(face), 2])] - a + height * nc
     e1 = wp.normalize(b)
     e2 = wp.normalize(wp.cross(wp.cross(b, c), e1))
     along = wp.dot(b, e1)

@@ -7,6 +7,7 @@ of the body does not tear the rest of the garment.
 
 import warp as wp
 
+from ..natural import natural
 from .body_surface import BodySurface, face_direction, plane_weights, triangle_point
 from .touched_walls import PLANES, ContactPlanes
 
@@ -121,8 +122,9 @@ def update_anchors(
     spring holds exactly the bound of slipping; it is stored on the body's surface, so that it moves with the body. In
     the other worlds anchors are read and not written.
     """
-    world, vertex = wp.tid()
-    first = vertex * PLANES
+    world, i = wp.tid()
+    vertex = natural(i)
+    first = natural(vertex * PLANES)
     # A vertex in a fold has two planes, which change places as it moves; anchors stay with their surface.
     straight = wp.float32(0.0)
     crossed = wp.float32(0.0)
@@ -137,7 +139,7 @@ def update_anchors(
     old_weights = wp.matrix_from_rows(anchor_weights[world, first + turn], anchor_weights[world, first + 1 - turn])
     x = positions[world, vertex]
     for k in range(PLANES):
-        plane = first + k
+        plane = natural(first + k)
         bound = wp.float64(0.0)
         if planes.face[world, plane] >= 0:
             gap = wp.dot(x - planes.point[world, plane], planes.normal[world, plane])

@@ -8,6 +8,7 @@ lie in one small array, the clock: the launches of a step are recorded once and 
 
 import warp as wp
 
+from ..natural import natural
 from .body_surface import closest_point_of_face, face_direction
 from .contact import ContactLaw, contact_curvature
 from .contact_planes import (
@@ -70,9 +71,10 @@ class Path:
 @wp.func
 def path_point(path: Path, i: wp.int32, share: wp.float64) -> wp.vec3d:
     """Where a point is [m] when this share of the frame has passed."""
-    last = wp.vec3d(path.last[i])
-    coming = wp.vec3d(path.coming[i])
-    speed = wp.float64(0.5) * (coming - wp.vec3d(path.earlier[i]))
+    point = natural(i)
+    last = wp.vec3d(path.last[point])
+    coming = wp.vec3d(path.coming[point])
+    speed = wp.float64(0.5) * (coming - wp.vec3d(path.earlier[point]))
     gain = coming - last - speed
     return last + share * (speed + share * (wp.float64(2.0) - share) * gain)
 
@@ -107,7 +109,7 @@ class Motion:
 @wp.kernel
 def move_body(points: Path, normals: Path, clock: wp.array[wp.float64], body: BodySurface):
     """Put the body where it is at the end of the step; its normals turn evenly from frame to frame."""
-    i = wp.tid()
+    i = natural(wp.tid())
     share = clock[END]
     body.points[0, i] = wp.vec3(path_point(points, i, share))
     s = wp.float32(share)
@@ -131,7 +133,7 @@ def begin_step(
     (Choi and Ko 2002). The solver begins with free flight. (Forces as in the last step would be nearer, but what the
     solver has not resolved would then grow from step to step.)
     """
-    vertex = wp.tid()
+    vertex = natural(wp.tid())
     span = clock[SPAN]
     x = motion.positions[0, vertex]
     v = motion.velocities[0, vertex]
@@ -168,7 +170,7 @@ def move_vertices(
     positions: wp.array2d[wp.vec3d],
 ):
     """Take the step that the linear system asks for, no vertex farther than ``longest`` [m]."""
-    vertex = wp.tid()
+    vertex = natural(wp.tid())
     step = wp.vec3d(solution[0, vertex])
     positions[0, vertex] = positions[0, vertex] + step * wp.min(
         wp.float64(1.0), longest / wp.max(wp.length(step), wp.float64(1.0e-12))
@@ -182,7 +184,7 @@ def end_step(clock: wp.array[wp.float64], touching: wp.array[wp.int32], planes: 
     A blow of the body makes a corner in a vertex's path. Looked back over by the second order, it would bounce off with
     half its speed; along the contact's normal what touches goes on as from a step of the first order.
     """
-    vertex = wp.tid()
+    vertex = natural(wp.tid())
     x = motion.positions[0, vertex]
     v = (x + motion.past[0, vertex]) / clock[SPAN]
     if touching[vertex] != 0:
@@ -216,7 +218,7 @@ def find_candidates(
     which the cloth would be drawn through the arm. ``found_from`` is where the vertices were when the body was at its
     path's beginning [m], ``height`` how far above where contact holds them; both are left as they are now.
     """
-    vertex = wp.tid()
+    vertex = natural(wp.tid())
     p = wp.vec3(positions[0, vertex])
     start = wp.vec3(found_from[0, vertex])
     found_from[0, vertex] = positions[0, vertex]
@@ -318,7 +320,7 @@ def drift_of_skin(points: Path, body: BodySurface, face: wp.int32, w: wp.vec3, c
     """How far a place of the body goes in a step [m]."""
     total = wp.vec3d()
     for k in range(3):
-        corner = body.faces[face, k]
+        corner = body.faces[natural(face), k]
         total += wp.float64(w[k]) * (path_point(points, corner, clock[END]) - path_point(points, corner, clock[START]))
     return total
 
@@ -343,7 +345,7 @@ def follow_planes(
     nor where one that the last step left above skin (``height`` [m]) would now be deeper under it than it moved against
     it: then it sees that skin from the side or through a limb, has lost its own, and looks for it at the next frame.
     """
-    vertex = wp.tid()
+    vertex = natural(wp.tid())
     first = vertex * PLANES
     planes.face[0, first] = -1
     planes.face[0, first + 1] = -1
@@ -383,7 +385,7 @@ def anticipate_contact(
     vertex itself [N]. A vertex that arrives takes it at a light touch, at which contact is stiff against all but
     itself, and so stops on the surface within one step; one that flies away is let go. ``target`` is where it flies.
     """
-    vertex = wp.tid()
+    vertex = natural(wp.tid())
     plane = vertex * PLANES
     ahead[0, vertex] = wp.vec3d()
     touching[vertex] = 0
@@ -421,7 +423,7 @@ def linearise_friction(
     back what is lighter than it, so that is held by a spring to its anchor. Both are springs shorter than
     :data:`SPRING_SLIP`, over which the bound is counted.
     """
-    vertex = wp.tid()
+    vertex = natural(wp.tid())
     plane = vertex * PLANES
     if bound[0, plane] <= wp.float64(0.0):
         return
@@ -437,7 +439,7 @@ def linearise_friction(
 @wp.kernel
 def add_force(force: wp.array2d[wp.vec3d], gradient: wp.array2d[wp.vec3d]):
     """Take a force on every vertex into the gradient [N]."""
-    vertex = wp.tid()
+    vertex = natural(wp.tid())
     gradient[0, vertex] = gradient[0, vertex] - force[0, vertex]
 
 
@@ -457,7 +459,7 @@ def expel_vertices(
 
     The past moves along: a correction of place is no velocity. What is held stays where it is and does not count.
     """
-    vertex = wp.tid()
+    vertex = natural(wp.tid())
     plane = vertex * PLANES
     gap[vertex] = NOWHERE
     if planes.face[0, plane] < 0 or motion.held[vertex] != 0:
@@ -481,6 +483,6 @@ def show_positions(
     shown: wp.array[wp.vec3],
 ):
     """What the frame shows [m]: each vertex as far from the skinned garment as its strength lets it."""
-    vertex = wp.tid()
+    vertex = natural(wp.tid())
     s = strength[vertex]
     shown[vertex] = wp.vec3(s * motion.positions[0, vertex] + (wp.float64(1.0) - s) * wp.vec3d(skin.coming[vertex]))

@@ -6,6 +6,7 @@ on the device: a number of iterations can be recorded once and replayed.
 
 import warp as wp
 
+from ..natural import natural
 from .assembly import Contact, gather_pairs
 
 wp.set_module_options({"enable_backward": False})
@@ -20,13 +21,18 @@ def pair_products(
     force: wp.array[wp.vec3],
 ):
     """Stiffness of every pair times the direction [N]; ``direction`` of all worlds in one row."""
-    pair = wp.tid()
+    pair = natural(wp.tid())
     if pair >= contact.pair_total[0]:
         return
     v = contact.pair_vertices[pair]
     w = contact.pair_weights[pair]
     n = contact.pair_normal[pair]
-    relative = w[0] * direction[v[0]] + w[1] * direction[v[1]] + w[2] * direction[v[2]] + w[3] * direction[v[3]]
+    relative = (
+        w[0] * direction[natural(v[0])]
+        + w[1] * direction[natural(v[1])]
+        + w[2] * direction[natural(v[2])]
+        + w[3] * direction[natural(v[3])]
+    )
     force[pair] = n * (pair_stiffness[pair] * wp.dot(n, relative))
 
 
@@ -49,17 +55,18 @@ def multiply(
 
     Worlds that are done keep what they had.
     """
-    world, vertex = wp.tid()
+    world, i = wp.tid()
+    vertex = natural(i)
     if active[world] == 0:
         return
     total = wp.vec3()
     for k in range(row_start[vertex], row_start[vertex + 1]):
-        total += blocks[world, k] * direction[world, columns[k]]
+        total += blocks[world, natural(k)] * direction[world, natural(columns[natural(k)])]
     for k in range(far_start[vertex], far_start[vertex + 1]):
-        c = far_columns[k]
-        w = far_coefficients[k]
-        total += (w[0] * direction[world, c[0]] + w[1] * direction[world, c[1]]) + (
-            w[2] * direction[world, c[2]] + w[3] * direction[world, c[3]]
+        c = far_columns[natural(k)]
+        w = far_coefficients[natural(k)]
+        total += (w[0] * direction[world, natural(c[0])] + w[1] * direction[world, natural(c[1])]) + (
+            w[2] * direction[world, natural(c[2])] + w[3] * direction[world, natural(c[3])]
         )
     product[world, vertex] = total + gather_pairs(pair_force, contact, world * direction.shape[1] + vertex)
 
@@ -82,7 +89,8 @@ def start(
     preconditioned: wp.array2d[wp.vec3],
 ):
     """Begin at zero: residual minus the gradient."""
-    world, vertex = wp.tid()
+    world, i = wp.tid()
+    vertex = natural(i)
     r = -wp.vec3(gradient[world, vertex])
     z = inverse[world, vertex] * r
     solution[world, vertex] = wp.vec3()
@@ -100,7 +108,8 @@ def start_from(
     preconditioned: wp.array2d[wp.vec3],
 ):
     """Begin at a solution whose product with the Hessian is known: residual minus both."""
-    world, vertex = wp.tid()
+    world, i = wp.tid()
+    vertex = natural(i)
     r = -wp.vec3(gradient[world, vertex]) - product[world, vertex]
     residual[world, vertex] = r
     preconditioned[world, vertex] = inverse[world, vertex] * r
@@ -120,19 +129,24 @@ def give_way(
 
     Of every pair, what its inner layer's vertex does pushes its outer layer's triangle, or the other way round.
     """
-    vertex = first + wp.tid()
+    vertex = natural(first + wp.tid())
     push = wp.vec3()
     start = contact.incident_start[vertex]
     for k in range(start, start + contact.incident_count[vertex]):
-        pair = contact.incident[k] >> 2
-        corner = contact.incident[k] & 3
+        incident = natural(contact.incident[natural(k)])
+        pair = incident >> 2
+        corner = incident & 3
         if (corner != 0) == outwards:
             v = contact.pair_vertices[pair]
             w = contact.pair_weights[pair]
             n = contact.pair_normal[pair]
-            moved = w[0] * preconditioned[0, v[0]]
+            moved = w[0] * preconditioned[0, natural(v[0])]
             if not outwards:
-                moved = w[1] * preconditioned[0, v[1]] + w[2] * preconditioned[0, v[2]] + w[3] * preconditioned[0, v[3]]
+                moved = (
+                    w[1] * preconditioned[0, natural(v[1])]
+                    + w[2] * preconditioned[0, natural(v[2])]
+                    + w[3] * preconditioned[0, natural(v[3])]
+                )
             push += (w[corner] * pair_stiffness[pair] * wp.dot(n, moved)) * n
     preconditioned[0, vertex] -= inverse[0, vertex] * push
 
@@ -150,7 +164,7 @@ def partial_dot(
     parts = partial.shape[1]
     total = wp.float64(0.0)
     for i in range(part * count // parts, (part + 1) * count // parts):
-        total += wp.float64(wp.dot(a[world, i], b[world, i]))
+        total += wp.float64(wp.dot(a[world, natural(i)], b[world, natural(i)]))
     partial[world, part] = total
 
 
@@ -218,7 +232,8 @@ def advance(
     # outputs
     preconditioned: wp.array2d[wp.vec3],
 ):
-    world, vertex = wp.tid()
+    world, i = wp.tid()
+    vertex = natural(i)
     a = alpha[world]
     solution[world, vertex] = solution[world, vertex] + a * direction[world, vertex]
     r = residual[world, vertex] - a * product[world, vertex]
@@ -259,5 +274,6 @@ def turn_direction(
     # in and out
     direction: wp.array2d[wp.vec3],
 ):
-    world, vertex = wp.tid()
+    world, i = wp.tid()
+    vertex = natural(i)
     direction[world, vertex] = preconditioned[world, vertex] + beta[world] * direction[world, vertex]

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from ..natural import natural
 from .damping import damping_energy, damping_stress, damping_tangent
 from .membrane import (
     Membrane,
@@ -43,11 +44,12 @@ def deform_triangles(
     energy: wp.array2d[wp.float64],
 ):
     """Deformation gradient, stress [N/m] and energy [J] of every triangle."""
-    world, triangle = wp.tid()
+    world, i = wp.tid()
+    triangle = natural(i)
     f = deformation_gradient(
-        positions[world, faces[triangle, 0]],
-        positions[world, faces[triangle, 1]],
-        positions[world, faces[triangle, 2]],
+        positions[world, natural(faces[triangle, 0])],
+        positions[world, natural(faces[triangle, 1])],
+        positions[world, natural(faces[triangle, 2])],
         rest_inverse[triangle],
     )
     strain = green_strain(f)
@@ -85,7 +87,8 @@ def linearise_triangles(
 
     With all of it kept (1) :func:`~.membrane.membrane_hessian` is exact, with none (0) positive semi-definite.
     """
-    world, triangle = wp.tid()
+    world, i = wp.tid()
+    triangle = natural(i)
     elastic = membrane_tangent(green_strain(deformation[world, triangle]), material)
     tangent[world, triangle] = elastic + damping_tangent(damping.viscosity, damping.rate[0])
     s = stress[world, triangle]
