@@ -99,7 +99,7 @@ def add_joint(
         # Unrolled, with starts and weights in registers.
         for corner in range(CORNERS):
             if start[corner] >= 0:
-                offset += weight[corner] * samples.offsets[natural(start[corner] + entry)]
+                offset += weight[corner] * samples.offsets[start[corner] + entry]
         offset = (strength * samples.entry_window[entry]) * offset
         vertex = natural(samples.entry_vertex[entry])
         samples.entry_offset[entry] = offset

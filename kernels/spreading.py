@@ -45,12 +45,12 @@ def believable_lacks(
     In a crook a lone vertex may find its foot on the wrong side of the limb.
     """
     block = (first + wp.tid()) * block_size
-    for k in range(block, wp.min(block + block_size, positions.shape[0])):
-        v = natural(k)
+    for i in range(block, wp.min(block + block_size, positions.shape[0])):
+        v = natural(i)
         most = wp.float32(0.0)
         if lack[v] > 0.0:
-            for entry in range(neighbours.begin[v], neighbours.begin[v + 1]):
-                u = neighbours.all[entry]
+            for k in range(neighbours.begin[v], neighbours.begin[v + 1]):
+                u = neighbours.all[k]
                 most = wp.max(most, lack[u] + wp.length(positions[u] - positions[v]) / metre)
         believed[v] = wp.min(lack[v], most)
 
@@ -66,15 +66,15 @@ def largest_around(
 ):
     """The largest value of each vertex and its neighbours; none is below 0."""
     block = (first + wp.tid()) * block_size
-    for k in range(block, wp.min(block + block_size, neighbours.ring.shape[0])):
-        v = natural(k)
+    for i in range(block, wp.min(block + block_size, neighbours.ring.shape[0])):
+        v = natural(i)
         ring = neighbours.ring[v]
         most = values[v]
-        for beside in range(RING):
-            value = values[natural(ring[beside])]
+        for k in range(RING):
+            value = values[natural(ring[k])]
             most = wp.where(value > most, value, most)
-        for entry in range(neighbours.begin[v] + RING, neighbours.begin[v + 1]):
-            most = wp.max(most, values[neighbours.all[entry]])
+        for k in range(neighbours.begin[v] + RING, neighbours.begin[v + 1]):
+            most = wp.max(most, values[neighbours.all[k]])
         largest[v] = most
 
 
@@ -89,13 +89,13 @@ def mean_around(
 ):
     """Each vertex half way to the mean of its neighbours."""
     block = (first + wp.tid()) * block_size
-    for k in range(block, wp.min(block + block_size, neighbours.ring.shape[0])):
-        v = natural(k)
+    for i in range(block, wp.min(block + block_size, neighbours.ring.shape[0])):
+        v = natural(i)
         ring = neighbours.ring[v]
         total = wp.float32(0.0)
-        for beside in range(RING):
-            total += values[natural(ring[beside])]
-        for entry in range(neighbours.begin[v] + RING, neighbours.begin[v + 1]):
-            total += values[neighbours.all[entry]]
+        for k in range(RING):
+            total += values[natural(ring[k])]
+        for k in range(neighbours.begin[v] + RING, neighbours.begin[v + 1]):
+            total += values[neighbours.all[k]]
         count = neighbours.begin[v + 1] - neighbours.begin[v]
         mean[v] = 0.5 * values[v] + 0.5 * total / wp.float32(wp.max(count, 1))

@@ -53,7 +53,7 @@ def downsample(
             for lane in range(LANES):
                 if LANES * side + lane < offsets.shape[0]:
                     member = natural(members[natural(k)])
-                    found[lane] += weights[natural(k)] * offsets[natural(LANES * side + lane), member]
+                    found[lane] += weights[natural(k)] * offsets[LANES * side + lane, member]
         offset_means[side, v] = found
 
 

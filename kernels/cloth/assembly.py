@@ -188,9 +188,9 @@ def gradient(
         vertex, world, positions, garment.bending_start, garment.bending_columns, garment.bending_coefficients
     )
     for k in range(garment.corner_start[vertex], garment.corner_start[vertex + 1]):
-        corner = natural(garment.corners[natural(k)])
-        triangle = corner >> 2
-        g = garment.shape_gradients[triangle, corner & 3]
+        code = natural(garment.corners[natural(k)])
+        triangle = code >> 2
+        g = garment.shape_gradients[triangle, code & 3]
         total += garment.rest_area[triangle] * membrane_gradient(
             deformation[world, triangle], stress[world, triangle], g
         )

@@ -64,14 +64,20 @@ def closest_point_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) ->
 
 
 @wp.func
+def corner_of(faces: wp.array2d[wp.int32], face: wp.int32, k: wp.int32) -> wp.int32:
+    """A corner of a triangle."""
+    return natural(faces[natural(face), k])
+
+
+@wp.func
 def triangle_point(
     points: wp.array2d[wp.vec3], faces: wp.array2d[wp.int32], world: wp.int32, face: wp.int32, w: wp.vec3
 ) -> wp.vec3:
     """Point at barycentric coordinates w of a triangle."""
     return (
-        points[world, natural(faces[natural(face), 0])] * w[0]
-        + points[world, natural(faces[natural(face), 1])] * w[1]
-        + points[world, natural(faces[natural(face), 2])] * w[2]
+        points[world, corner_of(faces, face, 0)] * w[0]
+        + points[world, corner_of(faces, face, 1)] * w[1]
+        + points[world, corner_of(faces, face, 2)] * w[2]
     )
 
 
@@ -80,9 +86,9 @@ def closest_point_of_face(
     points: wp.array2d[wp.vec3], faces: wp.array2d[wp.int32], world: wp.int32, face: wp.int32, p: wp.vec3
 ):
     """Coordinates of the closest point of a triangle to p, and how far away it is [m]."""
-    a = points[world, natural(faces[natural(face), 0])]
-    b = points[world, natural(faces[natural(face), 1])]
-    c = points[world, natural(faces[natural(face), 2])]
+    a = points[world, corner_of(faces, face, 0)]
+    b = points[world, corner_of(faces, face, 1)]
+    c = points[world, corner_of(faces, face, 2)]
     w = closest_point_on_triangle(p, a, b, c)
     return w, wp.length(p - triangle_point(points, faces, world, face, w))
 
@@ -107,11 +113,9 @@ def face_direction(
     points: wp.array2d[wp.vec3], faces: wp.array2d[wp.int32], world: wp.int32, face: wp.int32
 ) -> wp.vec3:
     """Unit normal of a triangle."""
-    a = points[world, natural(faces[natural(face), 0])]
+    a = points[world, corner_of(faces, face, 0)]
     return wp.normalize(
-        wp.cross(
-            points[world, natural(faces[natural(face), 1])] - a, points[world, natural(faces[natural(face), 2])] - a
-        )
+        wp.cross(points[world, corner_of(faces, face, 1)] - a, points[world, corner_of(faces, face, 2)] - a)
     )
 
 
@@ -124,9 +128,9 @@ def face_normals(
 ):
     """Normals of the triangles, each as long as twice its area."""
     world, face = wp.tid()
-    a = points[world, natural(faces[natural(face), 0])]
+    a = points[world, corner_of(faces, face, 0)]
     normals[world, face] = wp.cross(
-        points[world, natural(faces[natural(face), 1])] - a, points[world, natural(faces[natural(face), 2])] - a
+        points[world, corner_of(faces, face, 1)] - a, points[world, corner_of(faces, face, 2)] - a
     )
 
 
@@ -218,12 +222,12 @@ def smooth_foot(body: BodySurface, world: wp.int32, p: wp.vec3d, start: wp.int32
     normal = wp.vec3()
     for step in range(FOOT_STEPS):
         # As seen from p, which keeps the full precision of its position.
-        a = wp.vec3(wp.vec3d(body.points[world, natural(body.faces[natural(face), 0])]) - p)
-        b = wp.vec3(wp.vec3d(body.points[world, natural(body.faces[natural(face), 1])]) - p)
-        c = wp.vec3(wp.vec3d(body.points[world, natural(body.faces[natural(face), 2])]) - p)
-        na = body.normals[world, natural(body.faces[natural(face), 0])]
-        nb = body.normals[world, natural(body.faces[natural(face), 1])]
-        nc = body.normals[world, natural(body.faces[natural(face), 2])]
+        a = wp.vec3(wp.vec3d(body.points[world, corner_of(body.faces, face, 0)]) - p)
+        b = wp.vec3(wp.vec3d(body.points[world, corner_of(body.faces, face, 1)]) - p)
+        c = wp.vec3(wp.vec3d(body.points[world, corner_of(body.faces, face, 2)]) - p)
+        na = body.normals[world, corner_of(body.faces, face, 0)]
+        nb = body.normals[world, corner_of(body.faces, face, 1)]
+        nc = body.normals[world, corner_of(body.faces, face, 2)]
         if step == 0:
             normal = w[0] * na + w[1] * nb + w[2] * nc
             height = -wp.dot(w[0] * a + w[1] * b + w[2] * c, normal) / wp.dot(normal, normal)
@@ -248,12 +252,12 @@ def hollow_bend(body: BodySurface, world: wp.int32, face: wp.int32, height: wp.f
     A vector c along the direction of the strongest turn, |c|^2 [1/m] its rate; a force f along the normal then resists
     such motion with the stiffness f c c^T [N/m]. Zero where the surface is flat or bulges.
     """
-    na = body.normals[world, natural(body.faces[natural(face), 0])]
-    nb = body.normals[world, natural(body.faces[natural(face), 1])] - na
-    nc = body.normals[world, natural(body.faces[natural(face), 2])] - na
-    a = body.points[world, natural(body.faces[natural(face), 0])]
-    b = body.points[world, natural(body.faces[natural(face), 1])] - a + height * nb
-    c = body.points[world, natural(body.faces[natural(face), 2])] - a + height * nc
+    na = body.normals[world, corner_of(body.faces, face, 0)]
+    nb = body.normals[world, corner_of(body.faces, face, 1)] - na
+    nc = body.normals[world, corner_of(body.faces, face, 2)] - na
+    a = body.points[world, corner_of(body.faces, face, 0)]
+    b = body.points[world, corner_of(body.faces, face, 1)] - a + height * nb
+    c = body.points[world, corner_of(body.faces, face, 2)] - a + height * nc
     e1 = wp.normalize(b)
     e2 = wp.normalize(wp.cross(wp.cross(b, c), e1))
     along = wp.dot(b, e1)

@@ -124,7 +124,7 @@ def update_anchors(
     """
     world, i = wp.tid()
     vertex = natural(i)
-    first = natural(vertex * PLANES)
+    first = vertex * PLANES
     # A vertex in a fold has two planes, which change places as it moves; anchors stay with their surface.
     straight = wp.float32(0.0)
     crossed = wp.float32(0.0)
@@ -139,7 +139,7 @@ def update_anchors(
     old_weights = wp.matrix_from_rows(anchor_weights[world, first + turn], anchor_weights[world, first + 1 - turn])
     x = positions[world, vertex]
     for k in range(PLANES):
-        plane = natural(first + k)
+        plane = first + k
         bound = wp.float64(0.0)
         if planes.face[world, plane] >= 0:
             gap = wp.dot(x - planes.point[world, plane], planes.normal[world, plane])
