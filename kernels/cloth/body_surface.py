@@ -65,7 +65,7 @@ def closest_point_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) ->
 
 @wp.func
 def corner_of(faces: wp.array2d[wp.int32], face: wp.int32, k: wp.int32) -> wp.int32:
-    """A corner of a triangle."""
+    """The vertex at corner k of a triangle, which must be there: a face of -1 is far past the array's end."""
     return natural(faces[natural(face), k])
 
 
